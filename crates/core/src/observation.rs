@@ -1,0 +1,70 @@
+//! What a camera or scanner sees, wherever it comes from.
+
+use nalgebra::Point3;
+
+use crate::{ImageSize, Intrinsics, Pixel};
+
+/// One view of an object: a picture, a depth map, both, or an unordered scan. Buffers are row-major.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Observation {
+    /// A picture and/or depth map on a pixel grid.
+    Image {
+        /// Size of every buffer below.
+        size: ImageSize,
+        /// Colours, sRGB, `[height * width]`.
+        rgb: Option<Vec<[u8; 3]>>,
+        /// Depth along the optical axis in metres, `[height * width]`; 0, negative or not finite = nothing seen.
+        depth: Option<Vec<f32>>,
+        /// Needed to turn depth into points.
+        intrinsics: Option<Intrinsics>,
+        /// Pixels that belong to the object, `[height * width]`; `None` = decide by depth, or take all.
+        mask: Option<Vec<bool>>,
+    },
+    /// Points in the optical frame, metres.
+    Cloud {
+        /// At least one finite point.
+        points: Vec<Point3<f32>>,
+    },
+}
+
+impl Observation {
+    /// Depth readings of an image that lie on the object, with their points in the optical frame. Empty for an
+    /// image without depth or intrinsics, and for a cloud.
+    #[must_use]
+    pub fn foreground_points(&self) -> Vec<(Pixel, Point3<f32>)> {
+        let Self::Image { size, depth: Some(depth), intrinsics: Some(intrinsics), mask, .. } = self else {
+            return Vec::new();
+        };
+        let mut points = Vec::new();
+        for v in 0..size.height as u32 {
+            for u in 0..size.width as u32 {
+                let pixel = Pixel { u, v };
+                let i = size.index(pixel);
+                let z = depth[i];
+                if z > 0.0 && z.is_finite() && mask.as_ref().is_none_or(|m| m[i]) {
+                    points.push((pixel, intrinsics.pixel_to_point(pixel, z)));
+                }
+            }
+        }
+        points
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_seen_and_masked_pixels_become_points() {
+        let size = ImageSize { width: 2, height: 2 };
+        let observation = Observation::Image {
+            size,
+            rgb: None,
+            depth: Some(vec![1.0, 0.0, f32::NAN, 2.0]),
+            intrinsics: Some(Intrinsics { fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 }),
+            mask: Some(vec![false, true, true, true]),
+        };
+        let points = observation.foreground_points();
+        assert_eq!(points, vec![(Pixel { u: 1, v: 1 }, Point3::new(1.0, 1.0, 2.0))]);
+    }
+}

@@ -1,0 +1,44 @@
+//! Where prediction's time goes: medians of the stages at the published size, batch 1, all six primitives.
+//! `cargo bench -p where2act-infer`
+
+use where2act_core::{ImageSize, Observation, Primitive, Seed, Timing};
+use where2act_infer::{Backend, Options, Predictor};
+use where2act_model::{Modality, ModelConfig, Network, Weights};
+
+const RUNS: usize = 31;
+
+fn main() {
+    let size = ImageSize { width: 640, height: 480 };
+    let rgb = (0..size.pixels()).map(|i| [(i % 251) as u8, (i % 241) as u8, (i % 239) as u8]).collect();
+    let picture = Observation::Image { size, rgb: Some(rgb), depth: None, intrinsics: None, mask: None };
+    let point = |i: usize| {
+        let (a, h) = (i as f32 * 2.399_963, (i as f32 + 0.5) / 60_000.0);
+        let s = (1.0 - h * h).sqrt();
+        nalgebra::Point3::new(0.8 * s * a.cos(), 0.8 * s * a.sin(), 4.0 - 0.8 * h)
+    };
+    let scan = Observation::Cloud { points: (0..60_000).map(point).collect() };
+    println!("input    preprocess  backbone    decode     total [ms]   decode / backbone");
+    for (name, modality, observation) in
+        [("picture", Modality::Rgb, &picture), ("scan", Modality::Cloud, &scan)]
+    {
+        let config = ModelConfig::new(modality, &Primitive::ALL);
+        let network = Network::new(&config, Seed(1), &burn::tensor::Device::flex());
+        let Ok(predictor) =
+            Predictor::from_weights(Weights { network, sha256: String::new() }, Backend::Fast)
+        else {
+            continue;
+        };
+        let runs: Vec<Timing> = (0..RUNS)
+            .filter_map(|_| predictor.predict(observation, &Options::default()).ok())
+            .map(|prediction| prediction.timing)
+            .collect();
+        let median = |of: fn(&Timing) -> f64| {
+            let mut sorted: Vec<f64> = runs.iter().map(of).collect();
+            sorted.sort_by(f64::total_cmp);
+            sorted[sorted.len() / 2]
+        };
+        let [p, b, d, t] =
+            [median(|t| t.preprocess), median(|t| t.backbone), median(|t| t.decode), median(|t| t.total)];
+        println!("{name:<8} {p:>10.1} {b:>9.1} {d:>9.1} {t:>9.1}        {:>9.0} %", 100.0 * d / b);
+    }
+}

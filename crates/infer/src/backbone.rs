@@ -1,0 +1,98 @@
+//! The part of a network that looks, behind one call.
+
+use std::ops::Deref;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use where2act_model::preprocess::CloudInput;
+use where2act_model::{Engine, Features, ModelConfig, Network};
+
+use crate::Error;
+
+/// What computes the backbone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Backend {
+    /// Kernels of this project: the fastest.
+    #[default]
+    Fast,
+    /// burn on its flex backend.
+    Flex,
+    /// burn on its ndarray backend: slower, for comparison.
+    Ndarray,
+}
+
+impl Backend {
+    /// burn's device for it.
+    #[allow(deprecated, reason = "ndarray is offered for comparison as long as burn has it")]
+    pub(crate) fn device(self) -> Device {
+        match self {
+            Self::Fast | Self::Flex => Device::flex(),
+            Self::Ndarray => Device::ndarray(),
+        }
+    }
+}
+
+/// A prepared input.
+pub(crate) enum NetworkInput {
+    /// `[3, side, side]`.
+    Picture { values: Vec<f32>, side: usize },
+    /// Points and the scan they are from.
+    Cloud(CloudInput),
+}
+
+/// A network's backbone, loaded.
+pub(crate) enum Backbone {
+    Fast(Box<Engine>),
+    Burn(Box<Network>, Device),
+}
+
+/// Features of every pixel or point, `[n, features]`.
+pub(crate) enum Rows<'a> {
+    Fast(Features<'a>),
+    Burn(Vec<f32>),
+}
+
+impl Deref for Rows<'_> {
+    type Target = [f32];
+
+    fn deref(&self) -> &[f32] {
+        match self {
+            Self::Fast(features) => features,
+            Self::Burn(features) => features,
+        }
+    }
+}
+
+impl Backbone {
+    pub(crate) fn new(network: Network, backend: Backend) -> Result<Self, Error> {
+        match backend {
+            Backend::Fast => Ok(Self::Fast(Box::new(Engine::compile(&network).map_err(failed)?))),
+            Backend::Flex | Backend::Ndarray => Ok(Self::Burn(Box::new(network), backend.device())),
+        }
+    }
+
+    pub(crate) fn features(&self, input: &NetworkInput, config: &ModelConfig) -> Result<Rows<'_>, Error> {
+        match (self, input) {
+            (Self::Fast(engine), NetworkInput::Picture { values, side }) => {
+                engine.features_rgb(values, [1, *side, *side]).map(Rows::Fast).map_err(failed)
+            }
+            (Self::Fast(engine), NetworkInput::Cloud(cloud)) => {
+                engine.features_cloud(&cloud.whole_hierarchy(config)).map(Rows::Fast).map_err(failed)
+            }
+            (Self::Burn(network, device), NetworkInput::Picture { values, side }) => {
+                let data = TensorData::new(values.clone(), [1, 3, *side, *side]);
+                plain(network.features_rgb(Tensor::<4>::from_data(data, device)))
+            }
+            (Self::Burn(network, _), NetworkInput::Cloud(cloud)) => {
+                plain(network.features_of(&cloud.whole_hierarchy(config)))
+            }
+        }
+    }
+}
+
+fn plain<const D: usize>(features: Tensor<D>) -> Result<Rows<'static>, Error> {
+    features.into_data().try_into_vec().map(Rows::Burn).map_err(|e| Error::Network(format!("{e:?}")))
+}
+
+fn failed(error: impl std::fmt::Display) -> Error {
+    Error::Network(error.to_string())
+}

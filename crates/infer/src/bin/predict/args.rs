@@ -1,0 +1,201 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use clap::{Parser, ValueEnum};
+use where2act_core::{Intrinsics, Pixel, Primitive, Seed};
+use where2act_infer::{Backend, Options};
+
+use crate::inputs::Input;
+
+const EXAMPLES: &str = "\
+Examples:
+  predict cabinet.jpg
+  predict cabinet.png --depth depth.png --intrinsics 615.1,615.4,320.2,239.8
+  predict depth.png --fov 42 --primitive pulling --primitive pushing
+  predict scan.ply --object-scale 1.5
+  predict photos/ --out results/
+  predict cabinet.jpg --pixel 310,188 --json | jq '.primitives[0].proposals[0]'
+
+Scores rank proposals: higher is better. A score is not the share of tries that succeed.
+
+Directions and poses are in the camera's optical frame: x right, y down, z forward, metres. The hand's z axis is
+the approach, its x axis is forward. Without depth there are directions, but no points and poses.
+
+With --depth, the picture decides and the depth gives points in metres. A depth map or scan alone is centred and, if
+its object is smaller or larger than those seen in training, scaled for the network; --object-scale or --keep-scale
+overrule that. Points come back in the input's metres; the hand keeps its real size.";
+
+/// Says what a gripper can do with what is seen, where, how, and what to try first.
+#[derive(Debug, Parser)]
+#[command(version, after_help = EXAMPLES)]
+pub(crate) struct Args {
+    /// Pictures (png, jpg, webp), depth maps (16-bit grey png), scans (ply, pcd, npy), or folders of these.
+    #[arg(required = true)]
+    pub(crate) input: Vec<PathBuf>,
+    /// Depth map of the picture: 16-bit grey png, or npy [height, width] in metres.
+    #[arg(long, value_name = "F")]
+    pub(crate) depth: Option<PathBuf>,
+    /// Metres per unit of integer depth.
+    #[arg(long, value_name = "S", default_value_t = 0.001, allow_negative_numbers = true)]
+    pub(crate) depth_scale: f32,
+    /// Focal lengths and principal point of the picture or depth map, pixels.
+    #[arg(
+        long,
+        value_name = "FX,FY,CX,CY",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        conflicts_with = "fov"
+    )]
+    intrinsics: Vec<f32>,
+    /// Vertical field of view of the picture or depth map, degrees, with the axis in the middle.
+    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    pub(crate) fov: Option<f32>,
+    /// Picture whose bright pixels are the object.
+    #[arg(long, value_name = "F")]
+    pub(crate) mask: Option<PathBuf>,
+    /// Primitive to predict; several times for several. Default: all.
+    #[arg(long = "primitive", value_name = "P")]
+    primitives: Vec<Primitive>,
+    /// Proposals per primitive.
+    #[arg(long, value_name = "K", default_value_t = 10)]
+    top_k: usize,
+    /// Orientations tried at every candidate.
+    #[arg(long, value_name = "N", default_value_t = 100)]
+    samples: usize,
+    /// Candidate pixels per primitive.
+    #[arg(long, value_name = "N", default_value_t = 32)]
+    candidates: usize,
+    /// Leave out proposals with a lower score.
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true)]
+    min_score: f32,
+    /// Only this pixel: what can be done here? For scans: the index of a point and 0.
+    #[arg(long, value_name = "U,V", value_delimiter = ',')]
+    pixel: Vec<u32>,
+    /// Network units per metre, for depth maps and scans.
+    #[arg(long, value_name = "S", conflicts_with = "keep_scale", allow_negative_numbers = true)]
+    object_scale: Option<f32>,
+    /// The same as --object-scale 1.
+    #[arg(long)]
+    keep_scale: bool,
+    /// Weights folder, or a folder with rgb/ and cloud/. Default: weights/ of the working directory or workspace.
+    #[arg(long, value_name = "DIR")]
+    pub(crate) weights: Option<PathBuf>,
+    /// Folder for the results; several inputs get a folder each in it. Default: predictions/NAME (none with --json).
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print the prediction as JSON, one line per input.
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Write no overlays and no contact sheet.
+    #[arg(long)]
+    pub(crate) no_pictures: bool,
+    /// What computes the network: kernels of this project, or burn.
+    #[arg(long, value_enum, default_value_t = EngineArg::Fast)]
+    engine: EngineArg,
+    /// Backend of burn; implies --engine burn.
+    #[arg(long, value_enum)]
+    device: Option<DeviceArg>,
+    /// Root of all randomness.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Threads. Default: all cores.
+    #[arg(long, value_name = "N")]
+    pub(crate) jobs: Option<usize>,
+    /// Print neither table nor progress.
+    #[arg(long, short)]
+    pub(crate) quiet: bool,
+}
+
+/// What computes the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum EngineArg {
+    /// this project's own kernels
+    Fast,
+    /// burn
+    Burn,
+}
+
+/// burn's backends for CPUs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum DeviceArg {
+    /// the faster one
+    Flex,
+    /// the slower one, for comparison
+    Ndarray,
+}
+
+impl Args {
+    /// What clap cannot check.
+    pub(crate) fn check(&self) -> Result<()> {
+        if ![0, 4].contains(&self.intrinsics.len()) {
+            bail!("--intrinsics: expected four numbers FX,FY,CX,CY, found {}", self.intrinsics.len());
+        }
+        if ![0, 2].contains(&self.pixel.len()) {
+            bail!("--pixel: expected two numbers U,V, found {}", self.pixel.len());
+        }
+        if let Some(fov) = self.fov
+            && !(fov > 0.0 && fov < 180.0)
+        {
+            bail!("--fov: expected degrees in (0, 180), found {fov}");
+        }
+        if !(self.depth_scale > 0.0 && self.depth_scale.is_finite()) {
+            bail!("--depth-scale: expected metres per unit above 0, found {}", self.depth_scale);
+        }
+        if self.jobs == Some(0) {
+            bail!("--jobs: expected at least 1, found 0");
+        }
+        self.options().validate().map_err(|e| anyhow::anyhow!("--{e}"))
+    }
+
+    pub(crate) fn backend(&self) -> Backend {
+        match (self.engine, self.device) {
+            (EngineArg::Fast, None) => Backend::Fast,
+            (_, Some(DeviceArg::Ndarray)) => Backend::Ndarray,
+            (EngineArg::Burn, None) | (_, Some(DeviceArg::Flex)) => Backend::Flex,
+        }
+    }
+
+    pub(crate) fn options(&self) -> Options {
+        Options {
+            primitives: self.primitives.clone(),
+            top_k: self.top_k,
+            samples: self.samples,
+            candidates: self.candidates,
+            min_score: self.min_score,
+            pixel: if let [u, v] = *self.pixel.as_slice() { Some(Pixel { u, v }) } else { None },
+            seed: Seed(self.seed),
+            network_from_metres: if self.keep_scale { Some(1.0) } else { self.object_scale },
+            ..Options::default()
+        }
+    }
+
+    /// The intrinsics given as such; a field of view needs the picture's size.
+    pub(crate) fn given_intrinsics(&self) -> Option<Intrinsics> {
+        match *self.intrinsics.as_slice() {
+            [fx, fy, cx, cy] => Some(Intrinsics { fx, fy, cx, cy }),
+            _ => None,
+        }
+    }
+
+    /// Where the results of each input go: its own folder, unless it is the only one and `--out` names it.
+    pub(crate) fn out_folders(&self, inputs: &[Input]) -> Vec<Option<PathBuf>> {
+        let root = match (&self.out, self.json) {
+            (Some(out), _) if inputs.len() == 1 => return vec![Some(out.clone())],
+            (Some(out), _) => out.clone(),
+            (None, true) => return vec![None; inputs.len()],
+            (None, false) => PathBuf::from("predictions"),
+        };
+        let mut used = std::collections::HashSet::new();
+        inputs
+            .iter()
+            .map(|input| {
+                let stem = input.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                // Inputs of the same name in different folders, or with different endings.
+                let names = std::iter::once(stem.clone()).chain((2..).map(|n| format!("{stem}-{n}")));
+                names.into_iter().find(|name| used.insert(name.clone())).map(|name| root.join(name))
+            })
+            .collect()
+    }
+}

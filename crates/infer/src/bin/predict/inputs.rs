@@ -1,0 +1,145 @@
+//! Files to observations.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use where2act_core::{ImageSize, Intrinsics, Observation};
+use where2act_infer::read::{FileKind, file_kind, read_depth, read_mask, read_picture, read_scan};
+use where2act_model::Modality;
+
+use crate::args::Args;
+
+/// A file to predict for.
+pub(crate) struct Input {
+    pub(crate) path: PathBuf,
+    kind: FileKind,
+}
+
+/// All inputs: files as given, folders by their files in order of their names.
+pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
+    let mut inputs = Vec::new();
+    for given in &args.input {
+        if given.is_dir() {
+            let before = inputs.len();
+            for path in files(given)? {
+                if let Some(kind) = file_kind(&path)? {
+                    inputs.push(Input { path, kind });
+                }
+            }
+            if inputs.len() == before {
+                bail!(
+                    "{}: expected a folder with png, jpg, webp, ply, pcd or npy files, found none",
+                    given.display()
+                );
+            }
+        } else {
+            let kind = file_kind(given)?.with_context(|| {
+                format!(
+                    "{}: expected a png, jpg, webp, ply, pcd or npy file or a folder, found another ending",
+                    given.display()
+                )
+            })?;
+            // With a depth map of its own even a 16-bit grey picture is a picture.
+            let kind = if args.depth.is_some() && kind == FileKind::Depth { FileKind::Picture } else { kind };
+            inputs.push(Input { path: given.clone(), kind });
+        }
+    }
+    for (flag, file) in [("--depth", &args.depth), ("--mask", &args.mask)] {
+        if file.is_some() && inputs.len() != 1 {
+            bail!("{flag}: expected one input that it belongs to, found {}", inputs.len());
+        }
+        if file.is_some() && inputs.iter().any(|i| i.kind == FileKind::Scan) {
+            bail!("{flag}: expected a picture or depth map as input, found a scan");
+        }
+    }
+    Ok(inputs)
+}
+
+fn files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let name = || folder.display().to_string();
+    let entries: std::io::Result<Vec<_>> = std::fs::read_dir(folder).with_context(name)?.collect();
+    let mut files: Vec<PathBuf> =
+        entries.with_context(name)?.into_iter().map(|e| e.path()).filter(|p| p.is_file()).collect();
+    files.sort();
+    Ok(files)
+}
+
+impl Input {
+    pub(crate) fn modality(&self) -> Modality {
+        match self.kind {
+            FileKind::Picture => Modality::Rgb,
+            FileKind::Depth | FileKind::Scan => Modality::Cloud,
+        }
+    }
+
+    pub(crate) fn read(&self, args: &Args) -> Result<Observation> {
+        match self.kind {
+            FileKind::Scan => Ok(Observation::Cloud { points: read_scan(&self.path)? }),
+            FileKind::Picture => {
+                let picture = read_picture(&self.path)?;
+                let size = picture.size;
+                let depth = match &args.depth {
+                    None => None,
+                    Some(path) => {
+                        let depth = read_depth(path, args.depth_scale)?;
+                        same_size("--depth", path, depth.size, size)?;
+                        Some(depth.metres)
+                    }
+                };
+                let intrinsics = intrinsics(args, size);
+                if depth.is_some() && intrinsics.is_none() {
+                    bail!("--depth: expected --intrinsics or --fov with it, found neither");
+                }
+                Ok(Observation::Image {
+                    size,
+                    rgb: Some(picture.rgb),
+                    depth,
+                    intrinsics,
+                    mask: mask(args, size)?,
+                })
+            }
+            FileKind::Depth => {
+                let depth = read_depth(&self.path, args.depth_scale)?;
+                let size = depth.size;
+                let missing = || {
+                    format!(
+                        "{}: expected --intrinsics or --fov with a depth map, found neither",
+                        self.path.display()
+                    )
+                };
+                let intrinsics = Some(intrinsics(args, size).with_context(missing)?);
+                Ok(Observation::Image {
+                    size,
+                    rgb: None,
+                    depth: Some(depth.metres),
+                    intrinsics,
+                    mask: mask(args, size)?,
+                })
+            }
+        }
+    }
+}
+
+fn intrinsics(args: &Args, size: ImageSize) -> Option<Intrinsics> {
+    args.given_intrinsics().or_else(|| args.fov.map(|fov| Intrinsics::from_fov(size, fov.to_radians())))
+}
+
+fn mask(args: &Args, size: ImageSize) -> Result<Option<Vec<bool>>> {
+    let Some(path) = &args.mask else { return Ok(None) };
+    let (found, mask) = read_mask(path)?;
+    same_size("--mask", path, found, size)?;
+    Ok(Some(mask))
+}
+
+fn same_size(flag: &str, path: &Path, found: ImageSize, expected: ImageSize) -> Result<()> {
+    if found != expected {
+        let ImageSize { width, height } = expected;
+        bail!(
+            "{flag} {}: expected {width}x{height} pixels as the input, found {}x{}",
+            path.display(),
+            found.width,
+            found.height
+        );
+    }
+    Ok(())
+}

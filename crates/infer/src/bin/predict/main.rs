@@ -1,0 +1,95 @@
+//! `predict`: pictures, depth maps and scans in; actions out.
+
+mod args;
+mod inputs;
+mod results;
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use where2act_core::program;
+use where2act_infer::{Predictor, find_weights};
+use where2act_model::Modality;
+
+use args::Args;
+use inputs::Input;
+
+fn main() -> ExitCode {
+    program::run("predict", "warn", |args: Args| run(&args))
+}
+
+fn run(args: &Args) -> Result<()> {
+    args.check()?;
+    program::limit_threads(args.jobs)?;
+    let inputs = inputs::list(args)?;
+    let folders = args.out_folders(&inputs);
+    let options = args.options();
+    let mut predictors: BTreeMap<bool, Predictor> = BTreeMap::new();
+    let progress = progress(args, inputs.len());
+    for (input, folder) in inputs.iter().zip(&folders) {
+        progress.set_message(input.path.display().to_string());
+        let observation = input.read(args)?;
+        let scan = input.modality() == Modality::Cloud;
+        let predictor = match predictors.entry(scan) {
+            std::collections::btree_map::Entry::Occupied(found) => found.into_mut(),
+            std::collections::btree_map::Entry::Vacant(empty) => empty.insert(load(args, input)?),
+        };
+        let mut output = predictor
+            .predict_dense(&observation, &options)
+            .with_context(|| input.path.display().to_string())?;
+        output.prediction.input.source = input.path.display().to_string();
+        if let Some(folder) = folder {
+            results::write(folder, &observation, &mut output, args.no_pictures)?;
+        }
+        progress.suspend(|| report(args, input, &output.prediction, folder.as_deref()))?;
+        progress.inc(1);
+    }
+    progress.finish_and_clear();
+    Ok(())
+}
+
+fn load(args: &Args, input: &Input) -> Result<Predictor> {
+    #[cfg(feature = "bundled-weights")]
+    if args.weights.is_none() {
+        return Ok(Predictor::bundled(input.modality(), args.backend())?);
+    }
+    let folder = find_weights(args.weights.as_deref(), input.modality())?;
+    tracing::info!(folder = %folder.display(), "loading weights");
+    Ok(Predictor::load_with(&folder, args.backend())?)
+}
+
+fn report(
+    args: &Args,
+    input: &Input,
+    prediction: &where2act_core::Prediction,
+    folder: Option<&Path>,
+) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    let written = if args.json {
+        serde_json::to_string(prediction).context("prediction").map(|json| writeln!(out, "{json}"))?
+    } else if args.quiet {
+        Ok(())
+    } else {
+        results::table(&mut out, &input.path, prediction, folder)
+    };
+    match written {
+        // `predict ... | head` has seen enough.
+        Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
+        other => other.context("stdout"),
+    }
+}
+
+fn progress(args: &Args, inputs: usize) -> ProgressBar {
+    let progress = ProgressBar::new(inputs as u64);
+    if args.quiet || inputs < 2 {
+        progress.set_draw_target(ProgressDrawTarget::hidden());
+    }
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} {eta}") {
+        progress.set_style(style);
+    }
+    progress
+}

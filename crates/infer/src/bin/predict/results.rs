@@ -1,0 +1,89 @@
+//! Predictions to files and to the terminal.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use image::{ImageFormat, RgbImage};
+use where2act_core::{Observation, Prediction, write_whole};
+use where2act_infer::write::{write_coloured_ply, write_npy_grid, write_npy_row};
+use where2act_infer::{Output, draw_overlay, draw_sheet, heat_colour};
+
+/// Writes `prediction.json`, a map and an overlay per primitive, and the contact sheet; for scans also a coloured ply
+/// per primitive. The JSON comes last: where it is, everything is.
+pub(crate) fn write(
+    folder: &Path,
+    observation: &Observation,
+    output: &mut Output<'_>,
+    no_pictures: bool,
+) -> Result<()> {
+    let Output { prediction, maps } = output;
+    for of in &mut prediction.primitives {
+        let name = of.primitive.name();
+        let map = format!("map_{name}.npy");
+        let path = folder.join(&map);
+        match observation {
+            Observation::Image { size, .. } => save(&path, |to| {
+                write_npy_grid(to, (size.height, size.width), |v, row| maps.row(of.primitive, v, row))
+            })?,
+            Observation::Cloud { points } => {
+                let values = maps.dense(of.primitive);
+                save(&path, |to| write_npy_row(to, &values))?;
+                let top = of.actionability.max.max(1e-6);
+                let path = folder.join(format!("cloud_{name}.ply"));
+                save(&path, |to| write_coloured_ply(to, points, &values, |v| heat_colour(v / top)))?;
+            }
+        }
+        of.actionability.map = Some(map);
+        if !no_pictures {
+            save_png(&folder.join(format!("overlay_{name}.png")), &draw_overlay(observation, maps, of))?;
+        }
+    }
+    if !no_pictures {
+        save_png(&folder.join("sheet.png"), &draw_sheet(observation, maps, prediction))?;
+    }
+    let json = serde_json::to_vec_pretty(prediction).context("prediction.json")?;
+    save(&folder.join("prediction.json"), |to| to.write_all(&json))
+}
+
+fn save(
+    path: &Path,
+    write: impl FnOnce(&mut io::BufWriter<&mut std::fs::File>) -> io::Result<()>,
+) -> Result<()> {
+    write_whole(path, write).with_context(|| path.display().to_string())
+}
+
+fn save_png(path: &Path, picture: &RgbImage) -> Result<()> {
+    let mut bytes = io::Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, ImageFormat::Png).with_context(|| path.display().to_string())?;
+    save(path, |to| to.write_all(bytes.get_ref()))
+}
+
+/// The best proposal of every primitive, a line each.
+pub(crate) fn table(
+    to: &mut impl Write,
+    input: &Path,
+    prediction: &Prediction,
+    folder: Option<&Path>,
+) -> io::Result<()> {
+    let (i, t) = (&prediction.input, &prediction.timing);
+    writeln!(to, "{} ({}, {} x {}): {:.0} ms", input.display(), i.kind, i.width, i.height, t.total)?;
+    writeln!(to, "  primitive     actionable max/mean  best  at pixel     approach              point [m]")?;
+    for of in &prediction.primitives {
+        let a = &of.actionability;
+        write!(to, "  {:<13} {:>10.3} / {:<7.3}", of.primitive.name(), a.max, a.mean)?;
+        match of.proposals.first() {
+            None => writeln!(to, "    -  no proposal")?,
+            Some(p) => {
+                let pixel = format!("{},{}", p.pixel.u, p.pixel.v);
+                let vector = |v: [f32; 3]| v.map(|x| format!("{x:>6.2}")).join(" ");
+                let point = p.point.map_or("-".to_owned(), vector);
+                writeln!(to, " {:>5.2}  {pixel:<11} {}  {point}", p.score, vector(p.approach))?;
+            }
+        }
+    }
+    match folder {
+        Some(folder) => writeln!(to, "  -> {}", folder.display()),
+        None => Ok(()),
+    }
+}

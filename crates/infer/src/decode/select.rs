@@ -1,0 +1,62 @@
+//! From all scored orientations to the few a caller sees.
+
+use nalgebra::Rotation3;
+use where2act_core::Pixel;
+
+use crate::Options;
+
+/// An orientation at a candidate, with its score.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scored {
+    /// Which candidate.
+    pub(crate) candidate: usize,
+    /// Pixel of the input.
+    pub(crate) pixel: Pixel,
+    /// Hand rotation in the camera frame.
+    pub(crate) rotation: Rotation3<f32>,
+    /// What the score head says: higher is better, not a chance of success.
+    pub(crate) score: f32,
+}
+
+/// The best by score, at most so many per pixel, those of one pixel some angle apart. Ties go to the more
+/// actionable candidate, which comes first.
+pub(crate) fn select(mut all: Vec<Scored>, options: &Options) -> Vec<Scored> {
+    let per_pixel = options.per_pixel.unwrap_or(if options.pixel.is_some() { options.top_k } else { 1 });
+    all.retain(|s| s.score >= options.min_score);
+    // Stable, so that equal scores stay in the order of their candidates and samples.
+    all.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let mut chosen: Vec<Scored> = Vec::new();
+    for scored in all {
+        if chosen.len() == options.top_k {
+            break;
+        }
+        let mut here = chosen.iter().filter(|c| c.pixel == scored.pixel);
+        let full = here.clone().count() >= per_pixel;
+        if !full && here.all(|c| c.rotation.angle_to(&scored.rotation) >= Options::MIN_ANGLE) {
+            chosen.push(scored);
+        }
+    }
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn one_per_pixel_by_default_and_different_ones_at_a_pixel() {
+        let scored = |u, angle: f32, score| Scored {
+            candidate: u as usize,
+            pixel: Pixel { u, v: 0 },
+            rotation: Rotation3::from_axis_angle(&Vector3::z_axis(), angle),
+            score,
+        };
+        let all = vec![scored(0, 0.0, 0.5), scored(0, 0.1, 0.9), scored(0, 1.0, 0.8), scored(1, 0.0, 0.85)];
+        let scores = |o: &Options| select(all.clone(), o).iter().map(|s| s.score).collect::<Vec<_>>();
+        assert_eq!(scores(&Options::default()), [0.9, 0.85]);
+        assert_eq!(scores(&Options { per_pixel: Some(5), ..Options::default() }), [0.9, 0.85, 0.8]);
+        assert_eq!(scores(&Options { min_score: 0.86, ..Options::default() }), [0.9]);
+        assert_eq!(scores(&Options { top_k: 1, ..Options::default() }), [0.9]);
+    }
+}

@@ -1,0 +1,103 @@
+//! Weights and a picture or scan in, actions out: the crate that robot software embeds.
+//!
+//! ```no_run
+//! use std::path::Path;
+//! use where2act_core::{ImageSize, Intrinsics, Observation};
+//! use where2act_infer::{Error, Options, Predictor};
+//!
+//! # fn main() -> Result<(), Error> {
+//! let predictor = Predictor::load(Path::new("weights/cloud"))?;
+//! let size = ImageSize { width: 640, height: 480 };
+//! let depth = vec![0.8; size.pixels()]; // metres, from the camera's driver
+//! let intrinsics = Some(Intrinsics { fx: 615.1, fy: 615.4, cx: 320.2, cy: 239.8 });
+//! let observation = Observation::Image { size, rgb: None, depth: Some(depth), intrinsics, mask: None };
+//!
+//! let prediction = predictor.predict(&observation, &Options::default())?;
+//! for of in &prediction.primitives {
+//!     if let Some(best) = of.proposals.first() {
+//!         println!("{}: {:.2} at {:?}, {} poses", of.primitive, best.score, best.point, best.waypoints.len());
+//!     }
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A [`Predictor`] is `Send + Sync`, holds no locks while it computes and knows no globals: share one between threads.
+//! It prints nothing and panics on no input; what went wrong is an [`Error`] that says what was expected and found.
+//! The same input, options and weights give the same bits on one machine, whatever the number of threads.
+//!
+//! # Frames
+//!
+//! Every point, direction and pose is in the camera's optical frame, as in OpenCV and ROS, in metres:
+//!
+//! ```text
+//!     camera (optical)                        hand
+//!
+//!          z (into the picture)                          z  approach, along the fingers
+//!         /                                    _____    /
+//!        /                                    |     |==/===   finger
+//!       o-----> x (right, as u)        y <----|  o  |
+//!       |                              left   |__|__|======   finger
+//!       |                                        |
+//!       v                                        v x  forward
+//!     y (down, as v)                    o: the mounting flange, 0.112 m behind the finger tips
+//! ```
+//!
+//! A proposal's `rotation` has the columns forward, left, approach: it maps hand coordinates to camera coordinates.
+//! `hand_pose` and `waypoints` are 4x4 matrices of the hand frame, `camera_from_hand`, by rows. To drive a robot,
+//! multiply from the left with your `base_from_camera`. The hand starts 0.15 m behind the contact point:
+//!
+//! ```text
+//!     hand frame            finger tips      contact point, surface
+//!         o=====================>  . . . . . *|
+//!         |<------ 0.112 m ---->|             |
+//!         |<----------- 0.15 m ------------->||      waypoint 0: hand_pose
+//!                 |<------- 0.10 m --------->||      waypoint 1 (0.11 m for pushing-up and -left)
+//! ```
+//!
+//! Then pulling closes the fingers and goes back to 0.15 m; the *-up and *-left primitives move 0.05 m along the
+//! hand's y and x; pushing is done. `close_at` says at which waypoint the fingers close.
+//!
+//! # Sizes
+//!
+//! The networks know objects that fit a sphere of about 1 m and a hand of real size. A depth map or scan of an object
+//! of such a size keeps its metres. A smaller or larger one is centred and scaled to the nearest size seen in training
+//! ([`where2act_core::InputInfo::network_from_metres`] says by how much), and contact points are scaled back. Only the
+//! points: the lengths of the hand's motion stay those of the real hand. `Options::network_from_metres` overrides it.
+//! Without depth there is no scale, and proposals are pixels and orientations only.
+//!
+//! # Features
+//!
+//! `bundled-weights` builds the workspace's `weights/rgb` and `weights/cloud` into the program, for installations of one
+//! file: `Predictor::bundled(Modality::Cloud, Backend::default())` instead of
+//! [`Predictor::load`]. `predict` built with it needs no weights folder, and still takes another one from `--weights`.
+#![cfg_attr(
+    not(test),
+    deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)
+)]
+#![cfg_attr(not(test), deny(clippy::print_stdout, clippy::print_stderr))]
+
+mod backbone;
+mod decode;
+mod dense;
+mod draw;
+mod error;
+mod nearest;
+mod options;
+mod pose;
+mod predictor;
+mod prepare;
+pub mod read;
+#[cfg(test)]
+mod snapshots;
+mod surface;
+mod weights;
+pub mod write;
+
+pub use backbone::Backend;
+pub use dense::DenseMaps;
+pub use draw::{draw_overlay, draw_sheet, heat_colour};
+pub use error::{Error, Malformed, ReadError};
+pub use options::Options;
+pub use predictor::{Output, Predictor};
+pub use weights::find_weights;

@@ -1,0 +1,158 @@
+//! Which of some points are near another: a uniform grid of buckets.
+
+use nalgebra::Point3;
+
+/// Most cells along an axis.
+const MAX_CELLS: usize = 48;
+
+/// Points sorted into the cells of a grid over their bounding box.
+pub(crate) struct NearestIndex {
+    points: Vec<Point3<f32>>,
+    origin: Point3<f32>,
+    cell: f32,
+    cells: [usize; 3],
+    /// Points of cell c are `members[start[c]..start[c + 1]]`.
+    start: Vec<u32>,
+    members: Vec<u32>,
+}
+
+impl NearestIndex {
+    /// `points` must be finite; there may be none.
+    pub(crate) fn new(points: Vec<Point3<f32>>) -> Self {
+        let mut low = Point3::from([f32::INFINITY; 3]);
+        let mut high = Point3::from([f32::NEG_INFINITY; 3]);
+        for p in &points {
+            low = low.inf(p);
+            high = high.sup(p);
+        }
+        let extent = (high - low).amax();
+        let extent = if extent.is_finite() { extent.max(1e-6) } else { 1.0 };
+        // Points of a scan lie on surfaces: n cells squared hold a few points each.
+        let along = ((points.len() as f32 / 4.0).sqrt() as usize).clamp(1, MAX_CELLS);
+        let cell = extent / along as f32;
+        let cells = [0, 1, 2]
+            .map(|a| ((high[a] - low[a]).max(0.0) / cell) as usize + 1)
+            .map(|n| n.min(MAX_CELLS + 1));
+        let mut index = Self {
+            points,
+            origin: low,
+            cell,
+            cells,
+            start: vec![0; cells.iter().product::<usize>() + 1],
+            members: vec![],
+        };
+        let homes: Vec<usize> = index.points.iter().map(|p| index.cell_number(index.cell_of(p))).collect();
+        for &home in &homes {
+            if let Some(count) = index.start.get_mut(home + 1) {
+                *count += 1;
+            }
+        }
+        let mut sum = 0;
+        for count in &mut index.start {
+            sum += *count;
+            *count = sum;
+        }
+        let mut order: Vec<u32> = (0..index.points.len() as u32).collect();
+        order.sort_by_key(|&i| (homes.get(i as usize).copied(), i));
+        index.members = order;
+        index
+    }
+
+    /// The up to `N` nearest points as (index, squared distance), nearest first; fewer if there are fewer points.
+    pub(crate) fn nearest<const N: usize>(&self, to: &Point3<f32>) -> Vec<(u32, f32)> {
+        let mut best: Vec<(u32, f32)> = Vec::with_capacity(N + 1);
+        if self.points.is_empty() || !to.iter().all(|x| x.is_finite()) {
+            return best;
+        }
+        let home = self.cell_of(to);
+        let furthest = self.cells.into_iter().max().unwrap_or(1) as i64;
+        for ring in 0..=furthest {
+            let reach = (ring - 1).max(0) as f32 * self.cell;
+            if best.len() == N && best.last().is_some_and(|b| b.1 <= reach * reach) {
+                break;
+            }
+            self.for_ring(home, ring, |i, p| {
+                let d = (p - to).norm_squared();
+                if best.len() < N || best.last().is_some_and(|b| d < b.1) {
+                    let at = best.partition_point(|b| (b.1, b.0) < (d, i));
+                    best.insert(at, (i, d));
+                    best.truncate(N);
+                }
+            });
+        }
+        best
+    }
+
+    pub(crate) fn points(&self) -> &[Point3<f32>] {
+        &self.points
+    }
+
+    fn cell_of(&self, p: &Point3<f32>) -> [i64; 3] {
+        let along =
+            |a: usize| (((p[a] - self.origin[a]) / self.cell) as i64).clamp(0, self.cells_along(a) - 1);
+        [along(0), along(1), along(2)]
+    }
+
+    fn cells_along(&self, axis: usize) -> i64 {
+        self.cells.get(axis).copied().unwrap_or(1) as i64
+    }
+
+    fn cell_number(&self, [x, y, z]: [i64; 3]) -> usize {
+        let [nx, ny, _] = self.cells;
+        (z as usize * ny + y as usize) * nx + x as usize
+    }
+
+    /// Visits the points of the cells at Chebyshev distance `ring` from `home`.
+    fn for_ring(&self, home: [i64; 3], ring: i64, mut visit: impl FnMut(u32, &Point3<f32>)) {
+        let [hx, hy, hz] = home;
+        let range = |h: i64, axis: usize| (h - ring).max(0)..=(h + ring).min(self.cells_along(axis) - 1);
+        for z in range(hz, 2) {
+            for y in range(hy, 1) {
+                let shell = (z - hz).abs() == ring || (y - hy).abs() == ring;
+                // Inside the shell only the two ends of the row belong to the ring.
+                let step = if shell || ring == 0 { 1 } else { 2 * ring };
+                let mut x = hx - ring;
+                while x <= hx + ring {
+                    if (0..self.cells_along(0)).contains(&x) {
+                        self.for_cell(self.cell_number([x, y, z]), &mut visit);
+                    }
+                    x += step;
+                }
+            }
+        }
+    }
+
+    fn for_cell(&self, cell: usize, visit: &mut impl FnMut(u32, &Point3<f32>)) {
+        let (Some(&from), Some(&to)) = (self.start.get(cell), self.start.get(cell + 1)) else { return };
+        for &i in self.members.get(from as usize..to as usize).unwrap_or_default() {
+            if let Some(p) = self.points.get(i as usize) {
+                visit(i, p);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn finds_what_a_search_through_all_finds(
+            points in prop::collection::vec(prop::array::uniform3(-1.0f32..1.0), 0..200),
+            flat in any::<bool>(),
+            to in prop::array::uniform3(-2.0f32..2.0),
+        ) {
+            let points: Vec<_> =
+                points.into_iter().map(|[x, y, z]| Point3::new(x, y, if flat { 0.5 } else { z })).collect();
+            let index = NearestIndex::new(points.clone());
+            let to = Point3::from(to);
+            let mut all: Vec<(f32, u32)> = (0..points.len()).map(|i| ((points[i] - to).norm_squared(), i as u32)).collect();
+            all.sort_by(|a, b| a.partial_cmp(b).unwrap());
+            let found: Vec<f32> = index.nearest::<3>(&to).into_iter().map(|(_, d)| d).collect();
+            let expected: Vec<f32> = all.iter().take(3).map(|(d, _)| *d).collect();
+            prop_assert_eq!(found, expected);
+        }
+    }
+}

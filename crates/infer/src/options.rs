@@ -1,0 +1,88 @@
+//! What a caller may ask for.
+
+use where2act_core::{Pixel, Primitive, Seed};
+
+use crate::Error;
+
+/// How to predict. The default asks for ten proposals of every primitive the network knows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Which primitives, in this order; empty = all of the network's. Default: empty.
+    pub primitives: Vec<Primitive>,
+    /// Proposals to return per primitive, best first. Default: 10.
+    pub top_k: usize,
+    /// Orientations to try at every candidate. Published: 100.
+    pub samples: usize,
+    /// Candidate pixels per primitive: the most actionable ones that keep a distance. Default: 32.
+    pub candidates: usize,
+    /// Proposals to return per pixel, at least [`Options::MIN_ANGLE`] apart. Default: 1, or `top_k` with `pixel`.
+    pub per_pixel: Option<usize>,
+    /// Proposals below this score are left out. Default: 0.
+    pub min_score: f32,
+    /// Ask for this pixel of the input only (for scans: `u` is the point's index): "what can I do here?"
+    pub pixel: Option<Pixel>,
+    /// Where proposals may be, one entry per pixel of the input or point of the scan: say, the parts that move. The
+    /// network still sees everything. `None` = anywhere on the object.
+    pub region: Option<Vec<bool>>,
+    /// Root of the randomness of the proposals. The same seed and input give the same bits.
+    pub seed: Seed,
+    /// Network units per metre of a depth map or scan, which is how the object's size is made one the network knows.
+    /// `None` keeps metres for objects of a size seen in training and scales others to the nearest such size; 1 keeps
+    /// metres always. Contact points come back in metres either way, and the hand keeps its real size.
+    pub network_from_metres: Option<f32>,
+}
+
+impl Options {
+    /// Smallest angle between two proposals at one pixel, radians: 15 degrees.
+    pub const MIN_ANGLE: f32 = std::f32::consts::PI / 12.0;
+    /// Most proposals, samples or candidates that may be asked for.
+    pub const MAX_COUNT: usize = 10_000;
+
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// The first field that is out of range.
+    pub fn validate(&self) -> Result<(), Error> {
+        let counts = [
+            ("top-k", self.top_k),
+            ("samples", self.samples),
+            ("candidates", self.candidates),
+            ("proposals per pixel", self.per_pixel.unwrap_or(1)),
+        ];
+        for (what, n) in counts {
+            if !(1..=Self::MAX_COUNT).contains(&n) {
+                return Err(Error::invalid(
+                    what,
+                    format!("a number in 1..={}", Self::MAX_COUNT),
+                    n.to_string(),
+                ));
+            }
+        }
+        if self.min_score.is_nan() {
+            return Err(Error::invalid("min-score", "a number", "NaN"));
+        }
+        match self.network_from_metres {
+            Some(s) if !(s.is_finite() && (1e-6..=1e6).contains(&s)) => {
+                Err(Error::invalid("object-scale", "a number in [1e-6, 1e6]", s.to_string()))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            primitives: Vec::new(),
+            top_k: 10,
+            samples: 100,
+            candidates: 32,
+            per_pixel: None,
+            min_score: 0.0,
+            pixel: None,
+            region: None,
+            seed: Seed(0),
+            network_from_metres: None,
+        }
+    }
+}

@@ -1,0 +1,287 @@
+//! The one type most callers need.
+
+use std::path::Path;
+use std::time::Instant;
+
+use rayon::prelude::*;
+use where2act_core::{
+    ActionabilitySummary, InputInfo, ModelInfo, Observation, PREDICTION_SCHEMA, Pixel, Prediction, Primitive,
+    PrimitivePrediction, Proposal, Timing,
+};
+use where2act_model::{Modality, ModelConfig};
+
+use crate::backbone::{Backbone, Backend};
+use crate::decode::{Codes, DecodingHeads, Scored, select, sigmoid};
+use crate::dense::DenseMaps;
+use crate::pose::proposal;
+use crate::prepare::Prepared;
+use crate::{Error, Options};
+
+/// A network that is ready to answer. Cheap to share: put it in an `Arc` or lend it to any number of threads.
+pub struct Predictor {
+    backbone: Backbone,
+    heads: DecodingHeads,
+    config: ModelConfig,
+    model: ModelInfo,
+}
+
+/// A prediction with the dense maps it was made from.
+pub struct Output<'a> {
+    /// Proposals and summaries.
+    pub prediction: Prediction,
+    /// Actionability everywhere.
+    pub maps: DenseMaps<'a>,
+}
+
+impl Predictor {
+    /// Loads a weights folder (`config.json`, `model.safetensors`, `SHA256SUMS`) and verifies it.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] names the file and what is wrong with it.
+    pub fn load(folder: &Path) -> Result<Self, Error> {
+        Self::load_with(folder, Backend::default())
+    }
+
+    /// As [`Self::load`], on another backend.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_with(folder: &Path, backend: Backend) -> Result<Self, Error> {
+        let weights = where2act_model::Weights::load(folder, &backend.device())
+            .map_err(|source| Error::Weights { path: folder.to_owned(), source: Box::new(source) })?;
+        Self::from_weights(weights, backend)
+    }
+
+    /// The default weights for a kind of input, built into the program.
+    ///
+    /// # Errors
+    /// [`Error::Weights`] if what was built in was damaged already.
+    #[cfg(feature = "bundled-weights")]
+    pub fn bundled(modality: Modality, backend: Backend) -> Result<Self, Error> {
+        let (name, [config, weights]) = crate::weights::bundled(modality);
+        let weights = where2act_model::Weights::from_bytes(config, weights, &backend.device())
+            .map_err(|source| Error::Weights { path: name.into(), source: Box::new(source) })?;
+        Self::from_weights(weights, backend)
+    }
+
+    /// From weights in memory.
+    ///
+    /// # Errors
+    /// [`Error::Network`] if the backend fails.
+    pub fn from_weights(weights: where2act_model::Weights, backend: Backend) -> Result<Self, Error> {
+        let where2act_model::Weights { network, sha256 } = weights;
+        let config = network.config().clone();
+        let heads = DecodingHeads::new(&network.heads, &config)?;
+        let model = ModelInfo { name: config.name.clone(), sha256 };
+        Ok(Self { backbone: Backbone::new(network, backend)?, heads, config, model })
+    }
+
+    /// What the network is.
+    #[must_use]
+    pub fn config(&self) -> &ModelConfig {
+        &self.config
+    }
+
+    /// Name and checksum of the weights.
+    #[must_use]
+    pub fn model(&self) -> &ModelInfo {
+        &self.model
+    }
+
+    /// What can be done with what is seen. The same input, options and weights give the same bits on one machine,
+    /// whatever the number of threads; only the timing differs.
+    ///
+    /// # Errors
+    /// If the observation or the options are of no use to this network.
+    pub fn predict(&self, observation: &Observation, options: &Options) -> Result<Prediction, Error> {
+        self.predict_dense(observation, options).map(|output| output.prediction)
+    }
+
+    /// [`Self::predict`] for several observations, one after the other, each with all cores: memory stays that of one,
+    /// and every result is the one [`Self::predict`] gives. An observation that fails does not keep the others.
+    pub fn predict_batch(
+        &self,
+        observations: &[Observation],
+        options: &Options,
+    ) -> Vec<Result<Prediction, Error>> {
+        observations.iter().map(|observation| self.predict(observation, options)).collect()
+    }
+
+    /// [`Self::predict`] together with the dense maps.
+    ///
+    /// # Errors
+    /// As [`Self::predict`].
+    pub fn predict_dense<'a>(
+        &self,
+        observation: &'a Observation,
+        options: &Options,
+    ) -> Result<Output<'a>, Error> {
+        options.validate()?;
+        let outputs = self.outputs(options)?;
+        let start = Instant::now();
+        let prepared = Prepared::new(observation, &self.config, &self.model.name, options)?;
+        let preprocessed = Instant::now();
+        let features = self.backbone.features(&prepared.input, &self.config)?;
+        let looked = Instant::now();
+        let logits = self.heads.actionability(&features)?;
+        let codes = self.heads.codes(options.samples, options.seed);
+        let values: Vec<f32> = logits.par_iter().with_min_len(4096).map(|&logit| sigmoid(logit)).collect();
+        let known = Known {
+            prepared: &prepared,
+            features: &features,
+            logits: &logits,
+            values: &values,
+            codes: &codes,
+        };
+        let primitives = outputs
+            .into_par_iter()
+            .map(|(primitive, output)| self.decode(&known, primitive, output, options))
+            .collect::<Result<_, _>>()?;
+        let decoded = Instant::now();
+        let millis = |from: Instant, to: Instant| to.duration_since(from).as_secs_f64() * 1e3;
+        let (width, height) = match observation {
+            Observation::Image { size, .. } => (size.width, size.height),
+            Observation::Cloud { points } => (points.len(), 1),
+        };
+        let prediction = Prediction {
+            schema: PREDICTION_SCHEMA.to_owned(),
+            input: InputInfo {
+                source: String::new(),
+                kind: kind(observation).to_owned(),
+                width,
+                height,
+                network_from_metres: prepared.network_from_metres,
+                intrinsics: match observation {
+                    Observation::Image { intrinsics, .. } => *intrinsics,
+                    Observation::Cloud { .. } => None,
+                },
+            },
+            model: self.model.clone(),
+            frame: "camera_optical".to_owned(),
+            units: "metres".to_owned(),
+            primitives,
+            timing: Timing {
+                preprocess: millis(start, preprocessed),
+                backbone: millis(preprocessed, looked),
+                decode: millis(looked, decoded),
+                total: millis(start, Instant::now()),
+            },
+        };
+        let maps = DenseMaps {
+            observation,
+            primitives: self.config.primitives.clone(),
+            values,
+            geometry: prepared.geometry,
+        };
+        Ok(Output { prediction, maps })
+    }
+
+    /// The heads' outputs that are asked for.
+    fn outputs(&self, options: &Options) -> Result<Vec<(Primitive, usize)>, Error> {
+        let known = &self.config.primitives;
+        let wanted = if options.primitives.is_empty() { known } else { &options.primitives };
+        wanted
+            .iter()
+            .map(|&found| {
+                let output = self.config.output_of(found);
+                output
+                    .map(|o| (found, o))
+                    .ok_or_else(|| Error::UnknownPrimitive { found, known: known.clone() })
+            })
+            .collect()
+    }
+
+    fn decode(
+        &self,
+        known: &Known<'_>,
+        primitive: Primitive,
+        output: usize,
+        options: &Options,
+    ) -> Result<PrimitivePrediction, Error> {
+        let Known { prepared, features, logits, values, codes } = known;
+        let primitives = self.config.primitives.len();
+        let logit =
+            |row: u32| logits.get(row as usize * primitives + output).copied().unwrap_or(f32::NEG_INFINITY);
+        let value = |row: u32| values.get(row as usize * primitives + output).copied().unwrap_or(0.0);
+        let candidates: Vec<u32> = match prepared.asked_row {
+            Some(row) => vec![row],
+            None => prepared.places.best(logit, options.candidates),
+        };
+        let places: Vec<_> = candidates.iter().map(|&row| prepared.place(row)).collect();
+        let tried = self.heads.propose(features, &candidates, output, codes)?;
+        let mut scored = Vec::with_capacity(candidates.len() * options.samples);
+        for (candidate, (place, tried)) in places.iter().zip(tried).enumerate() {
+            for (rotation, score) in tried {
+                // A hand cannot come out of the surface; trials that try count as failures.
+                let outwards = place
+                    .normal
+                    .is_some_and(|normal| normal.dot(&rotation.matrix().column(2).into_owned()) > 0.0);
+                if !outwards {
+                    scored.push(Scored { candidate, pixel: place.pixel, rotation, score });
+                }
+            }
+        }
+        let chosen = select(scored, options);
+        let proposals: Vec<Proposal> = chosen
+            .into_iter()
+            .enumerate()
+            .filter_map(|(i, s)| {
+                let place = places.get(s.candidate)?;
+                let actionability = candidates.get(s.candidate).map_or(0.0, |&row| value(row));
+                let numbers = (s.score, actionability);
+                Some(Proposal {
+                    rank: i + 1,
+                    ..proposal(primitive, s.pixel, place.point, &s.rotation, numbers)
+                })
+            })
+            .collect();
+        let rows = prepared.places.rows();
+        let (mut max, mut sum) = (0.0f32, 0.0f64);
+        for value in rows.iter().map(|&row| value(row)) {
+            max = max.max(value);
+            sum += f64::from(value);
+        }
+        let mean = (sum / rows.len().max(1) as f64) as f32;
+        Ok(PrimitivePrediction {
+            primitive,
+            actionability: ActionabilitySummary { max, mean, map: None },
+            proposals,
+        })
+    }
+}
+
+/// What decoding of every primitive starts from.
+struct Known<'a> {
+    prepared: &'a Prepared<'a>,
+    features: &'a [f32],
+    logits: &'a [f32],
+    values: &'a [f32],
+    codes: &'a Codes,
+}
+
+/// The word for an observation in [`InputInfo::kind`].
+fn kind(observation: &Observation) -> &'static str {
+    match observation {
+        Observation::Cloud { .. } => "cloud",
+        Observation::Image { rgb: Some(_), depth: Some(_), .. } => "rgbd",
+        Observation::Image { rgb: Some(_), .. } => "rgb",
+        Observation::Image { .. } => "depth",
+    }
+}
+
+/// What a network of some modality reads, in words.
+pub(crate) fn reads(modality: Modality) -> &'static str {
+    match modality {
+        Modality::Rgb => "pictures",
+        Modality::Cloud => "scans and depth maps",
+    }
+}
+
+/// Where a candidate is on the input.
+pub(crate) struct Place {
+    pub(crate) pixel: Pixel,
+    /// In metres.
+    pub(crate) point: Option<nalgebra::Point3<f32>>,
+    /// Of the surface, towards the camera.
+    pub(crate) normal: Option<nalgebra::Vector3<f32>>,
+}

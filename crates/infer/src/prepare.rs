@@ -1,0 +1,252 @@
+//! From an observation to what the network sees, and the way back.
+
+use nalgebra::Point3;
+use where2act_core::{ImageSize, Observation, Pixel};
+use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
+use where2act_model::{Modality, ModelConfig};
+
+use crate::backbone::NetworkInput;
+use crate::decode::Places;
+use crate::dense::{Geometry, on_object};
+use crate::nearest::NearestIndex;
+use crate::predictor::{Place, reads};
+use crate::surface::{DepthView, normal};
+use crate::{Error, Options};
+
+/// Least distance between candidates, as a share of the network picture's side: 8 of 224 pixels.
+const PIXEL_DISTANCE: f32 = 1.0 / 28.0;
+/// Least distance between candidates on a scan, network units; objects have a radius of about one.
+const POINT_DISTANCE: f32 = 0.06;
+/// Points whose plane gives a scan's normal, and how far, network units, they may be.
+const NORMAL_POINTS: usize = 16;
+const NORMAL_RADIUS: f32 = 0.15;
+
+/// An observation, ready for the network.
+pub(crate) struct Prepared<'a> {
+    pub(crate) input: NetworkInput,
+    /// Rows of the network's output that lie on the object.
+    pub(crate) places: Places,
+    /// The row of the pixel that was asked for.
+    pub(crate) asked_row: Option<u32>,
+    asked: Option<Pixel>,
+    pub(crate) geometry: Geometry,
+    /// Pixel of the input for each row of a network for scans.
+    pixels: Vec<Pixel>,
+    /// Depth of the input, if the network itself does not look at it.
+    depth: Option<DepthView<'a>>,
+    pub(crate) network_from_metres: f32,
+}
+
+impl<'a> Prepared<'a> {
+    pub(crate) fn new(
+        observation: &'a Observation,
+        config: &ModelConfig,
+        model: &str,
+        options: &Options,
+    ) -> Result<Self, Error> {
+        check(observation)?;
+        check_pixel(observation, options.pixel)?;
+        check_region(observation, options.region.as_deref())?;
+        let needed = match observation {
+            Observation::Image { rgb: Some(_), .. } => Modality::Rgb,
+            _ => Modality::Cloud,
+        };
+        // A picture with depth and a camera is both.
+        let both = matches!(observation, Observation::Image { depth: Some(_), intrinsics: Some(_), .. });
+        match config.modality {
+            Modality::Rgb if needed == Modality::Rgb => Self::picture(observation, config, options),
+            Modality::Cloud if needed == Modality::Cloud || both => Self::scan(observation, config, options),
+            found => {
+                let (needed, found) = (reads(needed), reads(found));
+                Err(Error::Modality { model: model.to_owned(), needed, found })
+            }
+        }
+    }
+
+    fn picture(observation: &'a Observation, config: &ModelConfig, options: &Options) -> Result<Self, Error> {
+        let Observation::Image { size, rgb: Some(rgb), depth, intrinsics, mask } = observation else {
+            return Err(Error::invalid("observation", "a picture", "none"));
+        };
+        let ImageInput { values, letterbox } =
+            ImageInput::new(*size, rgb, mask.as_deref(), &config.preprocessing).map_err(unusable)?;
+        let side = letterbox.side;
+        let network = ImageSize::square(side);
+        let rows = (0..side as u32).flat_map(|v| (0..side as u32).map(move |u| Pixel { u, v }));
+        let wanted = |source: Pixel| in_region(options, size.index(source)) && on_object(observation, source);
+        let on = rows.filter(|p| letterbox.to_source(*p).is_some_and(wanted));
+        let places = Places::new(
+            on.map(|p| (network.index(p) as u32, [p.u as f32, p.v as f32, 0.0])),
+            PIXEL_DISTANCE * side as f32,
+        );
+        let depth = match (depth, intrinsics) {
+            (Some(depth), Some(intrinsics)) => {
+                Some(DepthView { size: *size, depth, intrinsics: *intrinsics })
+            }
+            _ => None,
+        };
+        Ok(Self {
+            input: NetworkInput::Picture { values, side },
+            places,
+            asked_row: options.pixel.map(|pixel| letterbox.network_index(pixel) as u32),
+            asked: options.pixel,
+            geometry: Geometry::Grid(letterbox),
+            pixels: Vec::new(),
+            depth,
+            network_from_metres: 1.0,
+        })
+    }
+
+    fn scan(observation: &'a Observation, config: &ModelConfig, options: &Options) -> Result<Self, Error> {
+        let scale = options.network_from_metres.map_or(CloudScale::Trained, CloudScale::PerMetre);
+        let mut rng = options.seed.child("scan points", 0).rng();
+        let (input, seen) =
+            CloudInput::from_observation(observation, scale, config, &mut rng).map_err(unusable)?;
+        let in_metres = |xyz: &[f32; 3]| input.metres_from_network(&Point3::from(*xyz));
+        let xyz = input.xyz.as_chunks().0;
+        let index = NearestIndex::new(xyz.iter().map(in_metres).collect());
+        let pixel = |source: &usize| match seen.get(*source) {
+            Some(pixel) => *pixel,
+            None => Pixel { u: *source as u32, v: 0 },
+        };
+        let pixels: Vec<Pixel> = input.source.iter().map(pixel).collect();
+        // The position in the input's own buffers: of the pixel, or of the scan's point.
+        let position = |pixel: &Pixel| match observation {
+            Observation::Image { size, .. } => size.index(*pixel),
+            Observation::Cloud { .. } => pixel.u as usize,
+        };
+        let wanted =
+            xyz.iter().zip(&pixels).enumerate().filter(|(_, (_, p))| in_region(options, position(p)));
+        let places = Places::new(wanted.map(|(i, (xyz, _))| (i as u32, *xyz)), POINT_DISTANCE);
+        let none =
+            |p: Pixel| Error::invalid("pixel", "one of the object, with depth", format!("{},{}", p.u, p.v));
+        let asked = options.pixel.map(|p| observation.point_at(p).ok_or_else(|| none(p))).transpose()?;
+        let asked_row = asked.and_then(|point| index.nearest::<1>(&point).first().map(|n| n.0));
+        Ok(Self {
+            network_from_metres: input.scale,
+            input: NetworkInput::Cloud(input),
+            places,
+            asked_row,
+            asked: options.pixel,
+            geometry: Geometry::Points { index, asked },
+            pixels,
+            depth: None,
+        })
+    }
+
+    /// Where a row of the network's output is on the input.
+    pub(crate) fn place(&self, row: u32) -> Place {
+        match &self.geometry {
+            Geometry::Grid(letterbox) => {
+                let side = letterbox.side as u32;
+                let here = Pixel { u: row % side, v: row / side };
+                let source = self.asked.or_else(|| letterbox.to_source(here));
+                let pixel = source.unwrap_or(Pixel { u: 0, v: 0 });
+                let point = self.depth.and_then(|d| d.contact(pixel));
+                let normal = self.depth.zip(point).and_then(|(d, p)| d.normal(pixel, &p));
+                Place { pixel, point, normal }
+            }
+            Geometry::Points { index, asked } => {
+                let own = index.points().get(row as usize).copied();
+                let pixel = self.pixels.get(row as usize).copied().unwrap_or(Pixel { u: 0, v: 0 });
+                let normal = own.and_then(|p| {
+                    let reach = NORMAL_RADIUS / self.network_from_metres;
+                    let near = index.nearest::<NORMAL_POINTS>(&p).into_iter().filter(|n| n.1 < reach * reach);
+                    let near = near.filter_map(|n| index.points().get(n.0 as usize).copied());
+                    normal(&near.collect::<Vec<_>>())
+                });
+                Place { pixel: self.asked.unwrap_or(pixel), point: asked.or(own), normal }
+            }
+        }
+    }
+}
+
+fn unusable(error: PreprocessError) -> Error {
+    match error {
+        PreprocessError::OnePlace(n) => {
+            Error::invalid("observation", "points that are apart", format!("{n} in one place"))
+        }
+        PreprocessError::NoPoints => Error::invalid(
+            "observation",
+            "finite points on the object",
+            "none (is the mask or the depth empty?)",
+        ),
+        other => Error::invalid("observation", "a picture with pixels", other.to_string()),
+    }
+}
+
+fn check(observation: &Observation) -> Result<(), Error> {
+    let Observation::Image { size, rgb, depth, intrinsics, mask } = observation else { return Ok(()) };
+    let buffers = [
+        ("rgb", rgb.as_ref().map(Vec::len)),
+        ("depth", depth.as_ref().map(Vec::len)),
+        ("mask", mask.as_ref().map(Vec::len)),
+    ];
+    let pixels = size.width.checked_mul(size.height);
+    for (buffer, found) in buffers {
+        if let Some(found) = found
+            && Some(found) != pixels
+        {
+            return Err(Error::BufferSize { buffer, size: *size, found });
+        }
+    }
+    if rgb.is_none() && depth.is_none() {
+        return Err(Error::invalid("observation", "a picture or a depth map", "neither"));
+    }
+    match intrinsics {
+        None if rgb.is_none() => Err(Error::invalid("intrinsics", "those of the depth map", "none")),
+        Some(i) => {
+            let sound = [i.fx, i.fy, i.cx, i.cy].into_iter().all(f32::is_finite) && i.fx > 0.0 && i.fy > 0.0;
+            let found = || format!("{},{},{},{}", i.fx, i.fy, i.cx, i.cy);
+            if sound { Ok(()) } else { Err(Error::invalid("intrinsics", "positive focal lengths", found())) }
+        }
+        None => Ok(()),
+    }
+}
+
+/// Whether proposals may be at this position of the input's buffers.
+fn in_region(options: &Options, position: usize) -> bool {
+    options.region.as_ref().is_none_or(|region| region.get(position).copied().unwrap_or(false))
+}
+
+fn check_region(observation: &Observation, region: Option<&[bool]>) -> Result<(), Error> {
+    let expected = match observation {
+        Observation::Image { size, .. } => size.pixels(),
+        Observation::Cloud { points } => points.len(),
+    };
+    match region {
+        Some(region) if region.len() != expected => {
+            Err(Error::invalid("region", format!("{expected} entries"), region.len().to_string()))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_pixel(observation: &Observation, pixel: Option<Pixel>) -> Result<(), Error> {
+    let Some(pixel) = pixel else { return Ok(()) };
+    let (width, height) = match observation {
+        Observation::Image { size, .. } => (size.width, size.height),
+        Observation::Cloud { points } => (points.len(), 1),
+    };
+    if (pixel.u as usize) < width && (pixel.v as usize) < height {
+        return Ok(());
+    }
+    let expected = format!("u below {width} and v below {height}");
+    Err(Error::invalid("pixel", expected, format!("{},{}", pixel.u, pixel.v)))
+}
+
+/// Points of an observation, by pixel.
+trait PointAt {
+    /// The finite point a pixel of the object shows.
+    fn point_at(&self, pixel: Pixel) -> Option<Point3<f32>>;
+}
+
+impl PointAt for Observation {
+    fn point_at(&self, pixel: Pixel) -> Option<Point3<f32>> {
+        match self {
+            Self::Cloud { points } => {
+                points.get(pixel.u as usize).copied().filter(|p| p.iter().all(|x| x.is_finite()))
+            }
+            Self::Image { .. } => crate::dense::seen_point(self, pixel),
+        }
+    }
+}

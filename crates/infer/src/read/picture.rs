@@ -1,0 +1,141 @@
+//! Pictures, depth maps and masks.
+
+use std::io::Cursor;
+
+use image::metadata::Orientation;
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use where2act_core::ImageSize;
+
+use super::npy::parse_npy;
+use crate::Malformed;
+
+/// Most pixels a picture may have: 16 bits of four channels of so many take 800 MB.
+pub const MAX_PIXELS: u64 = 100_000_000;
+/// Longest side of a picture, pixels.
+const MAX_SIDE: u32 = 65_535;
+
+/// A colour picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Width and height.
+    pub size: ImageSize,
+    /// sRGB, row-major.
+    pub rgb: Vec<[u8; 3]>,
+}
+
+/// Distances along the optical axis.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthMap {
+    /// Width and height.
+    pub size: ImageSize,
+    /// Metres, row-major; 0 = nothing seen.
+    pub metres: Vec<f32>,
+}
+
+impl DepthMap {
+    /// From an npy array `[height, width]`: floating point in metres, integers in `metres_per_unit`.
+    ///
+    /// # Errors
+    /// If the bytes are not such an array.
+    pub fn from_npy(bytes: &[u8], metres_per_unit: f32) -> Result<Self, Malformed> {
+        let array = parse_npy(bytes)?;
+        let &[height, width] = array.shape.as_slice() else {
+            return Err(Malformed::new("a depth map [height, width]", format!("shape {:?}", array.shape)));
+        };
+        check_size(width as u64, height as u64)?;
+        let scale = if array.integers { metres_per_unit } else { 1.0 };
+        Ok(Self {
+            size: ImageSize { width, height },
+            metres: array.values.iter().map(|v| v * scale).collect(),
+        })
+    }
+}
+
+/// Decodes a png, jpeg or webp; see [`super::read_picture`].
+///
+/// # Errors
+/// If the bytes are not such a picture, or it is larger than [`MAX_PIXELS`].
+pub fn parse_picture(bytes: &[u8]) -> Result<Picture, Malformed> {
+    let (picture, orientation) = decode(bytes)?;
+    let opaque =
+        if picture.color().has_alpha() { over_white(&picture.into_rgba8()) } else { picture.into_rgb8() };
+    let mut upright = DynamicImage::ImageRgb8(opaque);
+    upright.apply_orientation(orientation);
+    let upright = upright.into_rgb8();
+    let size = ImageSize { width: upright.width() as usize, height: upright.height() as usize };
+    Ok(Picture { size, rgb: upright.as_raw().as_chunks().0.to_vec() })
+}
+
+/// Decodes a 16-bit greyscale png into metres.
+///
+/// # Errors
+/// As [`parse_picture`]; 8-bit and colour pictures are no depth.
+pub fn parse_depth_png(bytes: &[u8], metres_per_unit: f32) -> Result<DepthMap, Malformed> {
+    let (picture, _) = decode(bytes)?;
+    let found = picture.color();
+    let DynamicImage::ImageLuma16(depth) = picture else {
+        return Err(Malformed::new("a 16-bit greyscale png", format!("{found:?} pixels")));
+    };
+    let size = ImageSize { width: depth.width() as usize, height: depth.height() as usize };
+    Ok(DepthMap { size, metres: depth.as_raw().iter().map(|&d| f32::from(d) * metres_per_unit).collect() })
+}
+
+/// Decodes a mask; see [`super::read_mask`].
+///
+/// # Errors
+/// As [`parse_picture`].
+pub fn parse_mask(bytes: &[u8]) -> Result<(ImageSize, Vec<bool>), Malformed> {
+    let (mut picture, orientation) = decode(bytes)?;
+    picture.apply_orientation(orientation);
+    let grey = picture.into_luma_alpha8();
+    let size = ImageSize { width: grey.width() as usize, height: grey.height() as usize };
+    Ok((size, grey.pixels().map(|p| p.0.iter().all(|&x| x > 127)).collect()))
+}
+
+fn decode(bytes: &[u8]) -> Result<(DynamicImage, Orientation), Malformed> {
+    let damaged = |e: image::ImageError| Malformed::new("a sound png, jpeg or webp picture", e.to_string());
+    let mut reader = ImageReader::new(Cursor::new(bytes))
+        .with_guessed_format()
+        .map_err(|e| Malformed::new("a png, jpeg or webp picture", e.to_string()))?;
+    match reader.format() {
+        Some(ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP) => {}
+        other => {
+            let found = other.map_or("other bytes".to_owned(), |f| format!("{f:?}"));
+            return Err(Malformed::new("a png, jpeg or webp picture", found));
+        }
+    }
+    let mut limits = Limits::default();
+    limits.max_image_width = Some(MAX_SIDE);
+    limits.max_image_height = Some(MAX_SIDE);
+    limits.max_alloc = Some(MAX_PIXELS * 8);
+    reader.limits(limits);
+    let mut decoder = reader.into_decoder().map_err(damaged)?;
+    let (width, height) = decoder.dimensions();
+    check_size(u64::from(width), u64::from(height))?;
+    if matches!(decoder.color_type(), ColorType::Rgb32F | ColorType::Rgba32F) {
+        return Err(Malformed::new("8 or 16 bits a channel", "32"));
+    }
+    // A damaged EXIF block is no reason to refuse a sound picture.
+    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    Ok((DynamicImage::from_decoder(decoder).map_err(damaged)?, orientation))
+}
+
+fn check_size(width: u64, height: u64) -> Result<(), Malformed> {
+    match width.saturating_mul(height) {
+        0 => Err(Malformed::new("at least one pixel", format!("{width} x {height}"))),
+        pixels if pixels > MAX_PIXELS => {
+            let expected = format!("at most {} million pixels", MAX_PIXELS / 1_000_000);
+            Err(Malformed::new(expected, format!("{width} x {height}")))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// What a transparent picture looks like on white paper, the background the networks are trained on.
+fn over_white(picture: &image::RgbaImage) -> image::RgbImage {
+    image::RgbImage::from_fn(picture.width(), picture.height(), |x, y| {
+        let image::Rgba([r, g, b, a]) = *picture.get_pixel(x, y);
+        let blend = |c: u8| ((u32::from(c) * u32::from(a) + 255 * (255 - u32::from(a)) + 127) / 255) as u8;
+        image::Rgb([blend(r), blend(g), blend(b)])
+    })
+}

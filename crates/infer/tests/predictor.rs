@@ -1,0 +1,262 @@
+//! The library with small random networks: what holds for any weights.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use where2act_core::{ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing};
+use where2act_infer::{Backend, Error, Options, Predictor};
+use where2act_model::{Modality, ModelConfig, Network, Weights};
+
+fn predictor_on(modality: Modality, backend: Backend) -> Predictor {
+    let config = ModelConfig::new(modality, &Primitive::ALL).with_width(0.125).with_points(1024);
+    let network = Network::new(&config, Seed(7), &burn::tensor::Device::flex());
+    Predictor::from_weights(Weights { network, sha256: "0".repeat(64) }, backend).unwrap()
+}
+
+fn predictor(modality: Modality) -> Predictor {
+    predictor_on(modality, Backend::Fast)
+}
+
+fn picture(width: usize, height: usize) -> Observation {
+    let rgb = (0..width * height)
+        .map(|i| [(i % 251) as u8, (i / width.max(1)) as u8, (i % 13) as u8 * 19])
+        .collect();
+    let size = ImageSize { width, height };
+    Observation::Image { size, rgb: Some(rgb), depth: None, intrinsics: None, mask: None }
+}
+
+/// A sphere of radius `r` at distance `z`, as far as it is seen.
+fn ball(n: usize, r: f32, z: f32) -> Vec<Point3<f32>> {
+    (0..n)
+        .map(|i| {
+            let (a, h) = (i as f32 * 2.399_963, (i as f32 + 0.5) / n as f32);
+            let s = (1.0 - h * h).sqrt();
+            Point3::new(r * s * a.cos(), r * s * a.sin(), z - r * h)
+        })
+        .collect()
+}
+
+fn untimed(mut prediction: Prediction) -> Prediction {
+    prediction.timing = Timing::default();
+    prediction
+}
+
+#[test]
+fn eight_threads_share_one_predictor_and_agree() {
+    fn shareable<T: Send + Sync>(_: &T) {}
+    for (modality, observation) in [
+        (Modality::Rgb, picture(200, 150)),
+        (Modality::Cloud, Observation::Cloud { points: ball(5000, 0.5, 2.0) }),
+    ] {
+        let predictor = predictor(modality);
+        shareable(&predictor);
+        let options = Options::default();
+        let expected = untimed(predictor.predict(&observation, &options).unwrap());
+        let answers: Vec<Prediction> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..8)
+                .map(|_| scope.spawn(|| untimed(predictor.predict(&observation, &options).unwrap())))
+                .collect();
+            threads.into_iter().map(|t| t.join().unwrap()).collect()
+        });
+        assert!(answers.iter().all(|a| *a == expected));
+        let batch =
+            predictor.predict_batch(&[observation.clone(), picture(0, 0), observation.clone()], &options);
+        assert_eq!(untimed(batch[0].as_ref().unwrap().clone()), expected);
+        assert!(batch[1].is_err());
+        assert_eq!(untimed(batch[2].as_ref().unwrap().clone()), expected);
+        for threads in [1, 3] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            assert_eq!(
+                untimed(pool.install(|| predictor.predict(&observation, &options)).unwrap()),
+                expected
+            );
+        }
+    }
+}
+
+/// Threads that ask different things must not see each other's buffers.
+#[test]
+fn eight_threads_with_different_inputs_get_their_own_answers() {
+    for modality in [Modality::Rgb, Modality::Cloud] {
+        let predictor = predictor(modality);
+        let observations: Vec<Observation> = (0..8)
+            .map(|i| match modality {
+                Modality::Rgb => picture(100 + 31 * i, 230 - 17 * i),
+                Modality::Cloud => {
+                    Observation::Cloud { points: ball(1500 + 700 * i, 0.3 + 0.05 * i as f32, 2.0) }
+                }
+            })
+            .collect();
+        let options = |i: usize| Options { seed: Seed(i as u64), ..Options::default() };
+        let answer = |i: usize| untimed(predictor.predict(&observations[i], &options(i)).unwrap());
+        let expected: Vec<Prediction> = (0..8).map(answer).collect();
+        assert!((1..8).all(|i| expected[i].primitives != expected[0].primitives));
+        std::thread::scope(|scope| {
+            for i in 0..8 {
+                let (answer, expected) = (&answer, &expected);
+                // Every thread begins with another input, so that the threads never go in step.
+                scope.spawn(move || {
+                    for j in (0..8).map(|j| (i + j) % 8) {
+                        assert!(answer(j) == expected[j], "thread {i}, input {j}");
+                    }
+                });
+            }
+        });
+    }
+}
+
+#[test]
+fn the_engine_and_burn_agree() {
+    let observation = picture(200, 150);
+    let maps = |backend| {
+        let predictor = predictor_on(Modality::Rgb, backend);
+        predictor.predict_dense(&observation, &Options::default()).unwrap().maps.dense(Primitive::Pulling)
+    };
+    let (fast, burn) = (maps(Backend::Fast), maps(Backend::Flex));
+    let largest = fast.iter().zip(&burn).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(largest < 1e-4, "{largest}");
+}
+
+#[test]
+fn poses_come_back_in_the_inputs_metres_whatever_its_size_and_place() {
+    let predictor = predictor(Modality::Cloud);
+    for (radius, distance) in [(0.5, 2.0), (0.02, 0.3), (20.0, 90.0)] {
+        let observation = Observation::Cloud { points: ball(4000, radius, distance) };
+        let prediction = predictor.predict(&observation, &Options::default()).unwrap();
+        let scale = prediction.input.network_from_metres;
+        assert_eq!(scale == 1.0, radius == 0.5, "{scale}");
+        let mut proposals = 0;
+        for p in prediction.primitives.iter().flat_map(|p| &p.proposals) {
+            let point = Point3::from(p.point.unwrap());
+            let from_centre = point - Point3::new(0.0, 0.0, distance);
+            assert!((from_centre.norm() - radius).abs() < 1e-3 * (radius + distance), "on the ball");
+            let approach = Vector3::from(p.approach);
+            // At the ball's rim the view decides poorly which side is out.
+            let rim = from_centre.z > -0.3 * radius;
+            assert!(rim || approach.dot(&from_centre.normalize()) < 0.35, "from outside");
+            let rotation = Matrix3::from(p.rotation).transpose();
+            assert!((rotation.determinant() - 1.0).abs() < 1e-4);
+            assert!((rotation.column(2) - approach).norm() < 1e-6);
+            let start = p.waypoints[0];
+            let flange = Point3::new(start[0][3], start[1][3], start[2][3]);
+            // The hand is as large as it is: 0.15 m before the contact.
+            assert!(((flange - point).norm() - 0.15).abs() < 1e-4 * (1.0 + distance));
+            proposals += 1;
+        }
+        assert!(proposals > 20, "{proposals}");
+        let kept = Options { network_from_metres: Some(1.0), ..Options::default() };
+        assert_eq!(predictor.predict(&observation, &kept).unwrap().input.network_from_metres, 1.0);
+    }
+}
+
+#[test]
+fn sizes_from_one_pixel_to_slivers() {
+    let predictor = predictor(Modality::Rgb);
+    for (width, height) in [(1, 1), (3000, 1), (1, 3000), (37, 1999)] {
+        let observation = picture(width, height);
+        let output = predictor.predict_dense(&observation, &Options::default()).unwrap();
+        for of in &output.prediction.primitives {
+            assert!(!of.proposals.is_empty());
+            assert!(
+                of.proposals.iter().all(|p| (p.pixel.u as usize) < width && (p.pixel.v as usize) < height)
+            );
+            let map = output.maps.dense(of.primitive);
+            assert_eq!(map.len(), width * height);
+            assert!(map.iter().all(|x| *x > 0.0 && *x <= of.actionability.max + 1e-6));
+        }
+    }
+}
+
+#[test]
+fn scans_with_holes_in_their_numbers_keep_their_indices() {
+    let predictor = predictor(Modality::Cloud);
+    let mut points = ball(3000, 0.5, 2.0);
+    for i in (0..3000).step_by(3) {
+        points[i] = Point3::new(f32::NAN, 0.0, f32::INFINITY);
+    }
+    let observation = Observation::Cloud { points: points.clone() };
+    let output = predictor.predict_dense(&observation, &Options::default()).unwrap();
+    for p in output.prediction.primitives.iter().flat_map(|p| &p.proposals) {
+        assert!((points[p.pixel.u as usize] - Point3::from(p.point.unwrap())).norm() < 1e-5);
+    }
+    let map = output.maps.dense(Primitive::Pushing);
+    assert!((0..3000).all(|i| (map[i] == 0.0) == (i % 3 == 0)));
+}
+
+#[test]
+fn a_mask_keeps_candidates_and_heat_on_the_object() {
+    let mut observation = picture(100, 80);
+    let on = |i: usize| (40..60).contains(&(i % 100)) && i / 100 < 40;
+    if let Observation::Image { mask, .. } = &mut observation {
+        *mask = Some((0..8000).map(on).collect());
+    }
+    let output = predictor(Modality::Rgb);
+    let output = output.predict_dense(&observation, &Options::default()).unwrap();
+    for p in output.prediction.primitives.iter().flat_map(|p| &p.proposals) {
+        assert!(on(p.pixel.v as usize * 100 + p.pixel.u as usize));
+    }
+    let map = output.maps.dense(Primitive::Pulling);
+    assert!((0..8000).all(|i| (map[i] > 0.0) == on(i)));
+}
+
+#[test]
+fn what_is_of_no_use_is_refused_by_name() {
+    let (rgb, cloud) = (predictor(Modality::Rgb), predictor(Modality::Cloud));
+    let says = |result: Result<Prediction, Error>, words: &[&str]| {
+        let message = result.unwrap_err().to_string();
+        assert!(words.iter().all(|w| message.contains(w)), "{message} lacks one of {words:?}");
+    };
+    let options = Options::default();
+    let points = |points| Observation::Cloud { points };
+    let nan = Point3::new(f32::NAN, 0.0, 1.0);
+    says(cloud.predict(&points(vec![]), &options), &["finite points", "none"]);
+    says(cloud.predict(&points(vec![nan; 10]), &options), &["finite points", "none"]);
+    says(cloud.predict(&points(vec![Point3::new(0.0, 0.0, 1.0); 10]), &options), &["apart", "10"]);
+    says(rgb.predict(&points(ball(100, 0.5, 2.0)), &options), &["scans", "pictures"]);
+    says(cloud.predict(&picture(8, 8), &options), &["pictures", "scans"]);
+    says(rgb.predict(&picture(0, 8), &options), &["pixels"]);
+    let elsewhere = Options { pixel: Some(Pixel { u: 8, v: 0 }), ..Options::default() };
+    says(rgb.predict(&picture(8, 8), &elsewhere), &["pixel", "below 8", "8,0"]);
+    let many = Options { samples: usize::MAX, ..Options::default() };
+    says(rgb.predict(&picture(8, 8), &many), &["samples"]);
+
+    let size = ImageSize::square(8);
+    let intrinsics = Some(Intrinsics::from_fov(size, 0.6));
+    let depth = |values: Vec<f32>, intrinsics| Observation::Image {
+        size,
+        rgb: None,
+        depth: Some(values),
+        intrinsics,
+        mask: None,
+    };
+    says(cloud.predict(&depth(vec![0.0; 64], intrinsics), &options), &["finite points", "none"]);
+    says(cloud.predict(&depth(vec![1.0; 63], intrinsics), &options), &["depth", "64", "63"]);
+    says(cloud.predict(&depth(vec![1.0; 64], None), &options), &["intrinsics"]);
+    let flat = Some(Intrinsics { fx: 0.0, fy: 1.0, cx: 0.0, cy: 0.0 });
+    says(cloud.predict(&depth(vec![1.0; 64], flat), &options), &["intrinsics", "positive"]);
+    let nothing = Observation::Image { size, rgb: None, depth: None, intrinsics, mask: None };
+    says(cloud.predict(&nothing, &options), &["neither"]);
+}
+
+#[test]
+fn a_million_points() {
+    let observation = Observation::Cloud { points: ball(1_000_000, 0.5, 2.0) };
+    let prediction = predictor(Modality::Cloud).predict(&observation, &Options::default()).unwrap();
+    assert_eq!(prediction.input.width, 1_000_000);
+    assert!(prediction.primitives.iter().all(|p| !p.proposals.is_empty()));
+}
+
+/// What is built in is what lies in `weights/`, and it answers as if it had been loaded from there.
+#[cfg(feature = "bundled-weights")]
+#[test]
+fn bundled_weights_are_those_of_the_workspace() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../weights");
+    for (name, modality, observation) in [
+        ("rgb", Modality::Rgb, picture(200, 150)),
+        ("cloud", Modality::Cloud, Observation::Cloud { points: ball(5000, 0.5, 2.0) }),
+    ] {
+        let bundled = Predictor::bundled(modality, Backend::default()).unwrap();
+        let loaded = Predictor::load(&folder.join(name)).unwrap();
+        assert_eq!(bundled.model(), loaded.model());
+        let answer = |p: &Predictor| untimed(p.predict(&observation, &Options::default()).unwrap());
+        assert_eq!(answer(&bundled), answer(&loaded));
+    }
+}

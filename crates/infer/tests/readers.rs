@@ -1,0 +1,160 @@
+//! Readers against files that other programs write.
+
+use std::io::Cursor;
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{DynamicImage, ImageEncoder, ImageFormat};
+use nalgebra::Point3;
+use npyz::WriterBuilder;
+use where2act_infer::read::{parse_depth_png, parse_mask, parse_npy, parse_picture, parse_scan};
+
+fn points(n: usize) -> Vec<Point3<f32>> {
+    (0..n).map(|i| Point3::new(i as f32 * 0.01, (i % 7) as f32 - 3.0, 1.0 + i as f32 * 1e-3)).collect()
+}
+
+#[test]
+fn ply_files_of_ply_rs() {
+    use ply_rs_bw::ply::{
+        Addable, DefaultElement, ElementDef, Encoding, Ply, Property, PropertyDef, PropertyType, ScalarType,
+    };
+    for encoding in [Encoding::Ascii, Encoding::BinaryLittleEndian, Encoding::BinaryBigEndian] {
+        let mut ply = Ply::<DefaultElement>::new();
+        ply.header.encoding = encoding;
+        let mut vertex = ElementDef::new("vertex".to_owned());
+        for name in ["nx", "x", "y", "z"] {
+            let kind = if name == "nx" { ScalarType::Double } else { ScalarType::Float };
+            vertex.properties.add(PropertyDef::new(name.to_owned(), PropertyType::Scalar(kind)));
+        }
+        ply.header.elements.add(vertex);
+        let element = |p: &Point3<f32>| {
+            let mut element = DefaultElement::new();
+            element.insert("nx".to_owned(), Property::Double(0.25));
+            for (name, value) in [("x", p.x), ("y", p.y), ("z", p.z)] {
+                element.insert(name.to_owned(), Property::Float(value));
+            }
+            element
+        };
+        ply.payload.insert("vertex".to_owned(), points(100).iter().map(element).collect());
+        let mut bytes = Vec::new();
+        ply_rs_bw::writer::Writer::new().write_ply(&mut bytes, &mut ply).unwrap();
+        assert_eq!(parse_scan(&bytes).unwrap(), points(100), "{encoding:?}");
+    }
+}
+
+#[test]
+fn pcd_files_of_pcd_rs() {
+    use pcd_rs::{DynRecord, Field, FieldDef, Schema, ValueKind};
+    let field = |name: &str, kind| FieldDef { name: name.to_owned(), kind, count: 1 };
+    for kind in [pcd_rs::DataKind::Ascii, pcd_rs::DataKind::Binary] {
+        let mut bytes = Cursor::new(Vec::new());
+        let writer = pcd_rs::WriterInit {
+            width: 100,
+            height: 1,
+            viewpoint: Default::default(),
+            data_kind: kind,
+            schema: Some(Schema {
+                fields: vec![
+                    field("intensity", ValueKind::U8),
+                    field("x", ValueKind::F32),
+                    field("y", ValueKind::F32),
+                    field("z", ValueKind::F32),
+                ],
+            }),
+            version: None,
+        };
+        let mut writer: pcd_rs::Writer<DynRecord, _> = writer.build_from_writer(&mut bytes).unwrap();
+        for p in points(100) {
+            let xyz = [p.x, p.y, p.z].map(|x| Field::F32(vec![x]));
+            writer.push(&DynRecord([vec![Field::U8(vec![200])], xyz.to_vec()].concat())).unwrap();
+        }
+        writer.finish().unwrap();
+        assert_eq!(parse_scan(bytes.get_ref()).unwrap(), points(100), "{kind:?}");
+    }
+}
+
+#[test]
+fn npy_files_of_npyz_in_both_orders() {
+    for order in [npyz::Order::C, npyz::Order::Fortran] {
+        let mut bytes = Vec::new();
+        let options = npyz::WriteOptions::new().default_dtype().shape(&[100, 3]).order(order);
+        let mut writer = options.writer(&mut bytes).begin_nd().unwrap();
+        let rows = points(100);
+        let values: Vec<f64> = match order {
+            npyz::Order::C => rows.iter().flat_map(|p| [p.x, p.y, p.z].map(f64::from)).collect(),
+            npyz::Order::Fortran => (0..3).flat_map(|a| rows.iter().map(move |p| f64::from(p[a]))).collect(),
+        };
+        writer.extend(values).unwrap();
+        writer.finish().unwrap();
+        assert_eq!(parse_scan(&bytes).unwrap(), rows, "{order:?}");
+        assert_eq!(parse_npy(&bytes).unwrap().shape, [100, 3]);
+    }
+}
+
+/// A picture whose left half is red and whose right half is blue, as every pixel format of png and jpeg there is.
+#[test]
+fn every_kind_of_pixel_becomes_rgb() {
+    let rgba = image::RgbaImage::from_fn(16, 16, |x, _| {
+        image::Rgba(if x < 8 { [230, 40, 30, 255] } else { [20, 60, 220, 255] })
+    });
+    let picture = DynamicImage::ImageRgba8(rgba);
+    let png = |picture: DynamicImage| {
+        let mut bytes = Cursor::new(Vec::new());
+        picture.write_to(&mut bytes, ImageFormat::Png).unwrap();
+        parse_picture(bytes.get_ref()).unwrap()
+    };
+    let near = |a: [u8; 3], b: [u8; 3], by: i32| {
+        a.iter().zip(b).all(|(a, b)| (i32::from(*a) - i32::from(b)).abs() <= by)
+    };
+    for sixteen in
+        [DynamicImage::ImageRgb16(picture.to_rgb16()), DynamicImage::ImageRgba16(picture.to_rgba16())]
+    {
+        let read = png(sixteen);
+        assert!(near(read.rgb[0], [230, 40, 30], 1) && near(read.rgb[15], [20, 60, 220], 1));
+    }
+    for grey in
+        [DynamicImage::ImageLuma8(picture.to_luma8()), DynamicImage::ImageLumaA16(picture.to_luma_alpha16())]
+    {
+        let read = png(grey);
+        assert!(read.rgb.iter().all(|[r, g, b]| r == g && g == b) && read.rgb[0] != read.rgb[15]);
+    }
+    // What is transparent is white; half transparent is half way.
+    let glass =
+        image::RgbaImage::from_fn(4, 1, |x, _| image::Rgba([200, 0, 100, [0, 128, 255, 255][x as usize]]));
+    let read = png(DynamicImage::ImageRgba8(glass));
+    assert_eq!((read.rgb[0], read.rgb[2]), ([255; 3], [200, 0, 100]));
+    assert!(near(read.rgb[1], [227, 127, 177], 1));
+    // Written with Pillow 12: `Image.convert("CMYK").save(quality=95)` of the picture above.
+    let read = parse_picture(include_bytes!("data/cmyk.jpg")).unwrap();
+    assert!(near(read.rgb[8 * 16 + 3], [230, 40, 30], 12), "{:?}", read.rgb[8 * 16 + 3]);
+    assert!(near(read.rgb[8 * 16 + 12], [20, 60, 220], 12), "{:?}", read.rgb[8 * 16 + 12]);
+}
+
+#[test]
+fn exif_turns_pictures_upright() {
+    // TIFF, little-endian, one entry: orientation (0x0112), short, 1 value, 6 = turn 90 degrees clockwise.
+    let exif =
+        [b"II*\0\x08\0\0\0".as_slice(), &[1, 0, 0x12, 1, 3, 0, 1, 0, 0, 0, 6, 0, 0, 0, 0, 0, 0, 0]].concat();
+    let sideways = image::RgbImage::from_fn(32, 16, |x, _| {
+        image::Rgb(if x < 16 { [250, 10, 10] } else { [10, 10, 250] })
+    });
+    let mut bytes = Vec::new();
+    let mut encoder = JpegEncoder::new_with_quality(&mut bytes, 95);
+    encoder.set_exif_metadata(exif).unwrap();
+    encoder.encode_image(&sideways).unwrap();
+    let read = parse_picture(&bytes).unwrap();
+    assert_eq!((read.size.width, read.size.height), (16, 32));
+    let [upper, lower] = [read.rgb[8 * 16 + 8], read.rgb[24 * 16 + 8]];
+    assert!(upper[0] > 200 && lower[2] > 200, "left becomes up: {upper:?} {lower:?}");
+}
+
+#[test]
+fn one_pixel_is_a_picture_and_colour_is_no_depth() {
+    let mut bytes = Cursor::new(Vec::new());
+    image::RgbImage::from_pixel(1, 1, image::Rgb([1, 2, 3])).write_to(&mut bytes, ImageFormat::Png).unwrap();
+    assert_eq!(parse_picture(bytes.get_ref()).unwrap().rgb, [[1, 2, 3]]);
+    assert!(parse_depth_png(bytes.get_ref(), 0.001).unwrap_err().to_string().contains("16-bit"));
+    let mut bytes = Cursor::new(Vec::new());
+    let mask = image::GrayImage::from_fn(3, 1, |x, _| image::Luma([[0, 127, 255][x as usize]]));
+    mask.write_to(&mut bytes, ImageFormat::Png).unwrap();
+    assert_eq!(parse_mask(bytes.get_ref()).unwrap().1, [false, false, true]);
+}

@@ -1,0 +1,123 @@
+//! The kernels on the trained weights of this repository and real inputs: on every instruction set, for any number of
+//! threads, the numbers that burn's own operations give.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::{Device, Tensor, TensorData};
+use where2act_core::{Observation, Seed};
+use where2act_infer::read::{read_picture, read_scan};
+use where2act_kernels::{Isa, Lookup, Mlp, MlpInput};
+use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
+use where2act_model::{Engine, Network, Weights};
+
+/// Largest difference over largest value.
+const TOLERANCE: f32 = 1e-4;
+
+fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
+}
+
+fn network(name: &str) -> Network {
+    Weights::load(&repository("weights").join(name), &Device::flex()).unwrap().network
+}
+
+fn rows(values: &[f32], width: usize) -> Tensor<2> {
+    let shape = [values.len() / width, width];
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), &Device::flex())
+}
+
+fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_into_vec().unwrap()
+}
+
+#[track_caller]
+fn close(what: &str, isa: Isa, found: &[f32], expected: &[f32]) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    let largest = expected.iter().fold(0.0f32, |m, x| m.max(x.abs()));
+    assert!(largest.is_finite() && largest > 0.0, "{what}");
+    let furthest = found.iter().zip(expected).fold(0.0f32, |m, (a, b)| {
+        let apart = (a - b).abs();
+        if apart.is_nan() { f32::INFINITY } else { m.max(apart) }
+    });
+    println!("{what} on {}: {:.1e} of the largest", isa.name(), furthest / largest);
+    assert!(furthest < TOLERANCE * largest, "{what} on {}: {furthest} of {largest}", isa.name());
+}
+
+/// The heads on every feature: what burn says, then what the kernels say.
+fn check_heads(isa: Isa, network: &Network, engine: &Engine, features: &[f32]) {
+    let width = engine.features();
+    let n = features.len() / width;
+    let waves = |len: usize| -> Vec<f32> { (0..len).map(|i| (i as f32 * 0.618).sin()).collect() };
+    let (orientations, codes) = (waves(6 * n), waves(network.config().latent * n));
+    let of = |values: &[f32]| rows(values, values.len() / n);
+    let heads = &network.heads;
+    let expected = [
+        numbers(heads.actionability.forward(of(features))),
+        numbers(heads.score.forward(of(features), of(&orientations))),
+        numbers(heads.proposal.decode(of(features), of(&codes))),
+    ];
+    let run = |mlp: &Mlp, rows: &[f32], lookup: Option<Lookup<'_>>| {
+        let mut output = vec![0.0; n * mlp.outputs()];
+        mlp.run(MlpInput { rows, lookup, pool: 1 }, &mut output).unwrap();
+        output
+    };
+    let own: Vec<i64> = (0..n as i64).collect();
+    let beside = |mlp: &Mlp, half: &Mlp, other: &[f32]| {
+        let table = run(half, features, None);
+        run(mlp, other, Some(Lookup { table: &table, rows: &own, weights: None, each: 1 }))
+    };
+    let kernels = engine.heads();
+    let found = [
+        run(&kernels.actionability, features, None),
+        beside(&kernels.score, &kernels.score_feature, &orientations),
+        beside(&kernels.proposal, &kernels.proposal_feature, &codes),
+    ];
+    for (what, (found, expected)) in
+        ["actionability", "score", "proposal"].iter().zip(found.iter().zip(&expected))
+    {
+        close(what, isa, found, expected);
+    }
+}
+
+/// `run` gives the features of an engine; `expected` are burn's.
+fn check(network: &Network, expected: &[f32], run: impl Fn(&Engine) -> Vec<f32> + Sync) {
+    for isa in Isa::available() {
+        let engine = Engine::compile_for(isa, network).unwrap();
+        let with = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| run(&engine))
+        };
+        let features = with(1);
+        close("features", isa, &features, expected);
+        for threads in [2, 5] {
+            assert!(with(threads) == features, "{threads} threads on {}", isa.name());
+        }
+        check_heads(isa, network, &engine, &features);
+    }
+}
+
+#[test]
+fn a_picture_gives_on_every_path_what_burn_gives() {
+    let network = network("rgb");
+    let picture = read_picture(&repository("examples/cabinet.png")).unwrap();
+    let with = &network.config().preprocessing;
+    let input = ImageInput::new(picture.size, &picture.rgb, None, with).unwrap();
+    let side = with.image_side;
+    let images = ImageInput::batch(std::slice::from_ref(&input), &Device::flex());
+    let expected = numbers(network.features_rgb(images));
+    check(&network, &expected, |engine| {
+        engine.features_rgb(&input.values, [1, side, side]).unwrap().to_vec()
+    });
+}
+
+#[test]
+fn a_scan_gives_on_every_path_what_burn_gives() {
+    let network = network("cloud");
+    let scan = Observation::Cloud { points: read_scan(&repository("examples/cabinet.ply")).unwrap() };
+    let (input, _) =
+        CloudInput::from_observation(&scan, CloudScale::Trained, network.config(), &mut Seed(1).rng())
+            .unwrap();
+    let hierarchy = input.whole_hierarchy(network.config());
+    let expected = numbers(network.features_of(&hierarchy));
+    check(&network, &expected, |engine| engine.features_cloud(&hierarchy).unwrap().to_vec());
+}

@@ -1,0 +1,123 @@
+//! From burn's parameters to plain numbers, batch-norms folded in.
+
+use burn::nn::conv::Conv2d;
+use burn::nn::{BatchNorm, Linear};
+use burn::tensor::Tensor;
+use where2act_kernels::unet::{BlockLayers, Folded, UNetLayers};
+use where2act_kernels::{Activation, Isa, Mlp, MlpLayer, ShapeError};
+
+use crate::layers::folded;
+use crate::unet::{BasicBlock, UNet};
+
+/// The numbers of a tensor, row by row.
+pub(super) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().convert::<f32>().try_into_vec::<f32>().unwrap_or_default()
+}
+
+/// A convolution and the batch-norm after it.
+fn conv(conv: &Conv2d, norm: &BatchNorm) -> Folded {
+    let (scale, shift) = folded(norm);
+    let scale = values(scale);
+    let mut kernel = values(conv.weight.val());
+    let per_output = kernel.len() / scale.len().max(1);
+    for (kernel, scale) in kernel.chunks_exact_mut(per_output.max(1)).zip(&scale) {
+        kernel.iter_mut().for_each(|w| *w *= scale);
+    }
+    Folded { kernel, bias: values(shift) }
+}
+
+fn block(block: &BasicBlock) -> BlockLayers {
+    BlockLayers {
+        first: conv(&block.conv1, &block.bn1),
+        second: conv(&block.conv2, &block.bn2),
+        around: block.downsample.as_ref().map(|d| conv(&d.conv, &d.bn)),
+    }
+}
+
+/// All layers of a U-Net; `None` if it does not have two blocks in each level and five steps up.
+pub(super) fn unet(unet: &UNet) -> Option<UNetLayers> {
+    let encoder = &unet.encoder;
+    let level = |blocks: &[BasicBlock]| match blocks {
+        [one, two] => Some([block(one), block(two)]),
+        _ => None,
+    };
+    let levels =
+        [level(&encoder.layer1)?, level(&encoder.layer2)?, level(&encoder.layer3)?, level(&encoder.layer4)?];
+    let steps = unet.decoder.blocks.iter();
+    let ups: Vec<_> = steps.map(|up| [conv(&up.conv1, &up.bn1), conv(&up.conv2, &up.bn2)]).collect();
+    let [features, _, _, _] = unet.head.weight.dims();
+    let bias = unet.head.bias.as_ref().map_or_else(|| vec![0.0; features], |bias| values(bias.val()));
+    Some(UNetLayers {
+        stem: conv(&encoder.conv1, &encoder.bn1),
+        levels,
+        ups: ups.try_into().ok()?,
+        head: Folded { kernel: values(unet.head.weight.val()), bias },
+    })
+}
+
+/// A linear layer as numbers: weights `[inputs, outputs]`.
+#[derive(Clone)]
+pub(super) struct Plain {
+    pub(super) weights: Vec<f32>,
+    pub(super) bias: Vec<f32>,
+    pub(super) activation: Activation,
+}
+
+impl Plain {
+    /// A linear layer and what follows.
+    pub(super) fn linear(linear: &Linear, activation: Activation) -> Self {
+        let [_, outputs] = linear.weight.dims();
+        let bias = linear.bias.as_ref().map_or_else(|| vec![0.0; outputs], |bias| values(bias.val()));
+        Self { weights: values(linear.weight.val()), bias, activation }
+    }
+
+    /// A linear layer, the batch-norm after it, and ReLU.
+    pub(super) fn norm_relu(linear: &Linear, norm: &BatchNorm) -> Self {
+        let (scale, shift) = folded(norm);
+        let scale = values(scale);
+        let mut plain = Self { bias: values(shift), ..Self::linear(linear, Activation::Relu) };
+        for row in plain.weights.chunks_exact_mut(scale.len().max(1)) {
+            row.iter_mut().zip(&scale).for_each(|(w, scale)| *w *= scale);
+        }
+        plain
+    }
+
+    /// The layer on its inputs before and from `at`: the first without bias or activation, to be looked up by the
+    /// second.
+    pub(super) fn split(self, at: usize) -> (Self, Self) {
+        let outputs = self.bias.len();
+        let (first, second) = self.weights.split_at((at * outputs).min(self.weights.len()));
+        let first =
+            Self { weights: first.to_vec(), bias: vec![0.0; outputs], activation: Activation::Identity };
+        (first, Self { weights: second.to_vec(), ..self })
+    }
+
+    /// The same with outputs that are always zero, up to a multiple of 16: what a lookup needs.
+    pub(super) fn padded(self) -> Self {
+        let outputs = self.bias.len().max(1);
+        let wide = outputs.next_multiple_of(16);
+        let mut weights = Vec::with_capacity(self.weights.len() / outputs * wide);
+        for row in self.weights.chunks_exact(outputs) {
+            weights.extend_from_slice(row);
+            weights.resize(weights.len() + wide - outputs, 0.0);
+        }
+        let mut bias = self.bias;
+        bias.resize(wide, 0.0);
+        Self { weights, bias, ..self }
+    }
+
+    /// The same with inputs that do not count.
+    pub(super) fn with_inputs(mut self, inputs: usize) -> Self {
+        self.weights.resize(inputs * self.bias.len(), 0.0);
+        self
+    }
+}
+
+/// Layers compiled to one MLP on `inputs` values.
+pub(super) fn mlp(isa: Isa, inputs: usize, layers: &[Plain]) -> Result<Mlp, ShapeError> {
+    let layers: Vec<_> = layers
+        .iter()
+        .map(|l| MlpLayer { weights: &l.weights, bias: &l.bias, activation: l.activation })
+        .collect();
+    Mlp::new(isa, inputs, &layers)
+}

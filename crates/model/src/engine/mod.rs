@@ -1,0 +1,216 @@
+//! Prediction on kernels of our own: the same numbers as [`Network`] gives, several times sooner.
+//!
+//! [`Engine::compile`] folds batch-norms and packs the weights once. Afterwards any number of threads may share the
+//! engine: each call borrows memory from a pool that grows to the number of calls at the same time.
+
+mod cloud;
+mod fold;
+mod heads;
+#[cfg(test)]
+mod tests;
+
+use std::ops::Deref;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use where2act_kernels::unet::{UNet, UNetMemory};
+use where2act_kernels::{AlignedBuf, Isa, ShapeError};
+
+use crate::network::{Backbone, Network};
+use crate::pointnet::Hierarchy;
+use cloud::CloudEngine;
+pub use heads::EngineHeads;
+
+/// Why a network cannot be compiled, or an input not be taken.
+#[derive(Debug, thiserror::Error)]
+pub enum EngineError {
+    /// A size that does not fit.
+    #[error("{0}")]
+    Shape(#[from] ShapeError),
+    /// A network for one kind of input was given the other.
+    #[error("expected {expected}, found {found}")]
+    Modality {
+        /// What the network takes.
+        expected: &'static str,
+        /// What it was given.
+        found: &'static str,
+    },
+    /// Arithmetic that this engine does not have.
+    #[error("precision {name}: expected f32, the one precision of this engine on this CPU")]
+    Precision {
+        /// What was asked for.
+        name: String,
+    },
+}
+
+/// A network compiled for prediction.
+pub struct Engine {
+    backbone: Compiled,
+    heads: EngineHeads,
+    isa: Isa,
+    memory: Mutex<Vec<UNetMemory>>,
+    outputs: Mutex<Vec<AlignedBuf>>,
+}
+
+enum Compiled {
+    Rgb(Box<UNet>),
+    Cloud(CloudEngine),
+}
+
+/// Features, pixel by pixel or point by point. Their memory returns to the engine when they are dropped.
+pub struct Features<'a> {
+    values: AlignedBuf,
+    home: &'a Mutex<Vec<AlignedBuf>>,
+}
+
+impl Deref for Features<'_> {
+    type Target = [f32];
+    fn deref(&self) -> &[f32] {
+        &self.values
+    }
+}
+
+impl Drop for Features<'_> {
+    fn drop(&mut self) {
+        give(self.home, std::mem::take(&mut self.values));
+    }
+}
+
+/// Something from a pool, or a new one.
+fn take<T: Default>(pool: &Mutex<Vec<T>>) -> T {
+    pool.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+}
+
+fn give<T>(pool: &Mutex<Vec<T>>, item: T) {
+    pool.lock().unwrap_or_else(PoisonError::into_inner).push(item);
+}
+
+impl Engine {
+    /// Compiles a network for the best instruction set of this CPU.
+    ///
+    /// # Errors
+    /// When the number of features is not a multiple of 16.
+    pub fn compile(network: &Network) -> Result<Self, EngineError> {
+        Self::compile_for(Isa::best(), network)
+    }
+
+    /// [`Self::compile`] for a chosen instruction set.
+    ///
+    /// # Errors
+    /// As [`Self::compile`].
+    pub fn compile_for(isa: Isa, network: &Network) -> Result<Self, EngineError> {
+        let side = network.config().preprocessing.image_side;
+        let backbone = match &network.backbone {
+            Backbone::UNet(unet) => {
+                let layers = fold::unet(unet);
+                ShapeError::check(
+                    "levels and steps of the U-Net that do not fit",
+                    0,
+                    usize::from(layers.is_none()),
+                )?;
+                match layers {
+                    Some(layers) => Compiled::Rgb(Box::new(UNet::new(isa, &layers, side)?)),
+                    None => {
+                        return Err(EngineError::Modality { expected: "a U-Net", found: "another network" });
+                    }
+                }
+            }
+            Backbone::PointNet2(net) => Compiled::Cloud(CloudEngine::new(isa, net)?),
+        };
+        let heads = EngineHeads::new(isa, &network.heads)?;
+        Ok(Self { backbone, heads, isa, memory: Mutex::default(), outputs: Mutex::default() })
+    }
+
+    /// Checks a precision by name: `f32` is what this engine computes in.
+    ///
+    /// # Errors
+    /// For any other name. bf16 would pay only on CPUs with AMX tiles.
+    pub fn check_precision(name: &str) -> Result<(), EngineError> {
+        if name == "f32" { Ok(()) } else { Err(EngineError::Precision { name: name.to_owned() }) }
+    }
+
+    /// The instruction set it was compiled for.
+    #[must_use]
+    pub fn isa(&self) -> Isa {
+        self.isa
+    }
+
+    /// Values per pixel or point.
+    #[must_use]
+    pub fn features(&self) -> usize {
+        match &self.backbone {
+            Compiled::Rgb(unet) => unet.features(),
+            Compiled::Cloud(net) => net.features(),
+        }
+    }
+
+    /// The heads.
+    #[must_use]
+    pub fn heads(&self) -> &EngineHeads {
+        &self.heads
+    }
+
+    /// Features of every pixel, row by row.
+    ///
+    /// # Shapes
+    /// `images` `[b, 3, height, width]`, prepared as [`crate::preprocess`] does, height and width multiples of 32
+    /// -> `[b, height * width, features]`
+    ///
+    /// # Errors
+    /// When the sizes do not fit, or the network is one for clouds.
+    pub fn features_rgb(&self, images: &[f32], shape: [usize; 3]) -> Result<Features<'_>, EngineError> {
+        let Compiled::Rgb(unet) = &self.backbone else {
+            return Err(EngineError::Modality { expected: "clouds", found: "pictures" });
+        };
+        let [b, height, width] = shape;
+        // Checked here so that wrong sizes do not allocate.
+        ShapeError::check("values of the pictures", b * 3 * height * width, images.len())?;
+        let mut features = self.take_features(b * height * width * unet.features());
+        let mut memory = take(&self.memory);
+        let result = unet.run(images, shape, &mut features.values, &mut memory);
+        give(&self.memory, memory);
+        result?;
+        Ok(features)
+    }
+
+    /// The time of each stage of [`Self::features_rgb`].
+    ///
+    /// # Errors
+    /// As [`Self::features_rgb`].
+    pub fn stages_rgb(
+        &self,
+        images: &[f32],
+        shape: [usize; 3],
+    ) -> Result<Vec<(&'static str, Duration)>, EngineError> {
+        let Compiled::Rgb(unet) = &self.backbone else {
+            return Err(EngineError::Modality { expected: "clouds", found: "pictures" });
+        };
+        let mut features = self.features_rgb(images, shape)?;
+        let mut memory = take(&self.memory);
+        memory.keep_times();
+        unet.run(images, shape, &mut features.values, &mut memory)?;
+        Ok(memory.take_times())
+    }
+
+    /// Features of every point of clouds of equal size.
+    ///
+    /// # Shapes
+    /// `[b * n, features]`, cloud by cloud
+    ///
+    /// # Errors
+    /// When the network is one for pictures.
+    pub fn features_cloud(&self, clouds: &Hierarchy) -> Result<Features<'_>, EngineError> {
+        let Compiled::Cloud(net) = &self.backbone else {
+            return Err(EngineError::Modality { expected: "pictures", found: "clouds" });
+        };
+        let mut features = self.take_features(clouds.points().len() / 3 * net.features());
+        net.run(clouds, &mut features.values)?;
+        Ok(features)
+    }
+
+    fn take_features(&self, len: usize) -> Features<'_> {
+        let mut values = take(&self.outputs);
+        values.resize(len);
+        Features { values, home: &self.outputs }
+    }
+}

@@ -1,0 +1,163 @@
+//! The engine against the burn path.
+
+use super::*;
+use burn::module::{Module, ModuleMapper, Param};
+use burn::tensor::{Device, Tensor, TensorData};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use where2act_core::{Primitive, Seed};
+use where2act_kernels::{Lookup, MlpInput};
+
+use crate::config::{Modality, ModelConfig};
+
+/// Random statistics for the batch-norms, which a new network has at zero and one.
+struct Stir(ChaCha8Rng);
+
+impl ModuleMapper for Stir {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        param.map(|old| {
+            if D > 1 {
+                return old;
+            }
+            let shape = old.dims();
+            let count = shape.iter().product();
+            let noise: Vec<f32> = (0..count).map(|_| self.0.random_range(-0.1..0.2)).collect();
+            old.clone() + Tensor::from_data(TensorData::new(noise, shape), &old.device())
+        })
+    }
+}
+
+fn network(modality: Modality, change: impl FnOnce(ModelConfig) -> ModelConfig) -> Network {
+    let config = change(ModelConfig::new(modality, &Primitive::ALL));
+    let network = Network::new(&config, Seed(3), &Device::flex());
+    let network = network.map(&mut Stir(Seed(4).rng()));
+    // The running statistics are not parameters; `map` leaves them, so they are stirred through the tensors.
+    let mut tensors = network.tensors();
+    let mut rng = Seed(5).rng();
+    for (name, tensor) in &mut tensors.by_name {
+        if name.contains("running") {
+            tensor.values.iter_mut().for_each(|x| *x += rng.random_range(0.0..0.3));
+        }
+    }
+    network.with_tensors(&tensors).unwrap()
+}
+
+fn noise(len: usize) -> Vec<f32> {
+    let mut rng = Seed(6).rng();
+    (0..len).map(|_| rng.random_range(-1.0..1.0)).collect()
+}
+
+/// Largest difference over largest value.
+fn error(expected: &[f32], found: &[f32]) -> f32 {
+    assert_eq!(expected.len(), found.len());
+    let largest = expected.iter().fold(0.0_f32, |a, b| a.max(b.abs()));
+    let difference = expected.iter().zip(found).map(|(a, b)| if a == b { 0.0 } else { (a - b).abs() });
+    difference.fold(0.0, |a: f32, b| if b.is_nan() { f32::INFINITY } else { a.max(b) }) / largest
+}
+
+#[test]
+fn pictures_give_what_burn_gives() {
+    for (width, [b, height, w]) in [(0.25, [3, 64, 96]), (0.3, [1, 32, 32]), (0.5, [1, 224, 224])] {
+        let network = network(Modality::Rgb, |config| config.with_width(width));
+        let images = noise(b * 3 * height * w);
+        let tensor = Tensor::from_data(TensorData::new(images.clone(), [b, 3, height, w]), &Device::flex());
+        let expected = fold::values(network.features_rgb(tensor));
+        for isa in Isa::available() {
+            let engine = Engine::compile_for(isa, &network).unwrap();
+            let found = engine.features_rgb(&images, [b, height, w]).unwrap();
+            let error = error(&expected, &found);
+            assert!(error < 1e-4, "{} width {width}: {error:e}", isa.name());
+        }
+    }
+}
+
+#[test]
+fn clouds_give_what_burn_gives() {
+    for surroundings in [false, true] {
+        let network = network(Modality::Cloud, |config| ModelConfig { points: 2048, surroundings, ..config });
+        let points: Vec<f32> = noise(2 * 2048 * 3).iter().map(|x| x * 0.5).collect();
+        let scans: Vec<f32> = noise(2 * 9000 * 3).iter().map(|x| x * 0.5).collect();
+        let hierarchy = Hierarchy::new(&points, 2);
+        let surrounded = hierarchy.clone().with_surroundings(&[&scans[..27_000], &scans[27_000..]]);
+        let Backbone::PointNet2(net) = &network.backbone else { panic!("a network for clouds") };
+        for hierarchy in [hierarchy, surrounded] {
+            let expected = fold::values(net.forward_rows(&hierarchy, &Device::flex()));
+            for isa in Isa::available() {
+                let engine = Engine::compile_for(isa, &network).unwrap();
+                let found = engine.features_cloud(&hierarchy).unwrap();
+                let error = error(&expected, &found);
+                assert!(error < 1e-4, "{}: {error:e}", isa.name());
+            }
+        }
+    }
+}
+
+#[test]
+fn heads_give_what_burn_gives() {
+    // A hidden layer off the blocks of 16.
+    let network = network(Modality::Cloud, |config| ModelConfig { hidden: 100, ..config });
+    let (n, each) = (37, 5);
+    let features = noise(n * 128);
+    let (z, orientations) = (noise(n * each * 10), noise(n * each * 6));
+    let tensor = |values: &[f32], width: usize| {
+        Tensor::<2>::from_data(
+            TensorData::new(values.to_vec(), [values.len() / width, width]),
+            &Device::flex(),
+        )
+    };
+    let of_row: Vec<i64> = (0..n * each).map(|i| (i / each) as i64).collect();
+    let repeated: Vec<f32> =
+        of_row.iter().flat_map(|row| features[*row as usize * 128..][..128].to_vec()).collect();
+    let heads = &network.heads;
+    let expected = [
+        fold::values(heads.actionability.forward(tensor(&features, 128))),
+        fold::values(heads.score.forward(tensor(&repeated, 128), tensor(&orientations, 6))),
+        fold::values(heads.proposal.decode(tensor(&repeated, 128), tensor(&z, 10))),
+    ];
+    let engine = Engine::compile(&network).unwrap();
+    let heads = engine.heads();
+    let dense = |mlp: &where2act_kernels::Mlp, rows: &[f32]| {
+        let mut output = vec![0.0; rows.len() / mlp.inputs() * mlp.outputs()];
+        mlp.run(MlpInput { rows, lookup: None, pool: 1 }, &mut output).unwrap();
+        output
+    };
+    let looked_up = |mlp: &where2act_kernels::Mlp, rows: &[f32], table: &[f32]| {
+        let mut output = vec![0.0; n * each * mlp.outputs()];
+        let lookup = Some(Lookup { table, rows: &of_row, weights: None, each: 1 });
+        mlp.run(MlpInput { rows, lookup, pool: 1 }, &mut output).unwrap();
+        output
+    };
+    let found = [
+        dense(&heads.actionability, &features),
+        looked_up(&heads.score, &orientations, &dense(&heads.score_feature, &features)),
+        looked_up(&heads.proposal, &z, &dense(&heads.proposal_feature, &features)),
+    ];
+    for (expected, found) in expected.iter().zip(&found) {
+        assert!(error(expected, found) < 1e-4);
+    }
+}
+
+#[test]
+fn many_threads_share_an_engine() {
+    let network = network(Modality::Rgb, |config| config.with_width(0.25));
+    let engine = Engine::compile(&network).unwrap();
+    let images = noise(3 * 64 * 64);
+    let expected = engine.features_rgb(&images, [1, 64, 64]).unwrap().to_vec();
+    std::thread::scope(|scope| {
+        for _ in 0..8 {
+            scope.spawn(|| assert_eq!(*engine.features_rgb(&images, [1, 64, 64]).unwrap(), expected[..]));
+        }
+    });
+}
+
+#[test]
+fn wrong_inputs_are_refused() {
+    let engine = Engine::compile(&network(Modality::Rgb, |config| config.with_width(0.25))).unwrap();
+    assert!(engine.features_rgb(&[0.0; 5], [1, 32, 32]).is_err());
+    assert!(engine.features_rgb(&[0.0; 3 * 33 * 32], [1, 33, 32]).is_err());
+    assert!(engine.features_cloud(&Hierarchy::new(&[0.0; 64 * 3], 1)).is_err());
+    let odd = network(Modality::Rgb, |config| ModelConfig { features: 100, ..config.with_width(0.25) });
+    assert!(Engine::compile(&odd).is_err());
+    assert!(Engine::check_precision("f32").is_ok());
+    assert!(Engine::check_precision("bf16").is_err());
+}

@@ -1,0 +1,114 @@
+//! What is said about a pixel or point: how actionable it is, how to act there, and how likely that works.
+//!
+//! Every head has one hidden layer and one output per primitive of the configuration. Orientations are six numbers,
+//! `[approach, forward]`, everywhere.
+
+mod actionability;
+mod proposal;
+mod rotation;
+mod score;
+#[cfg(all(test, feature = "train"))]
+mod tests;
+
+use burn::module::Module;
+use burn::nn::Linear;
+use burn::tensor::{Device, Int, Tensor, TensorData};
+
+use crate::config::ModelConfig;
+use crate::layers::linear;
+pub use actionability::ActionabilityHead;
+pub use proposal::{Code, ProposalDecoder, ProposalEncoder, ProposalHead};
+pub use rotation::{rotation_matrix, to_axes};
+pub use score::ScoreHead;
+
+/// The three heads.
+#[derive(Module, Debug)]
+pub struct Heads {
+    /// Feature -> how actionable.
+    pub actionability: ActionabilityHead,
+    /// Feature and orientation -> how likely to succeed.
+    pub score: ScoreHead,
+    /// Feature and random code -> orientation.
+    pub proposal: ProposalHead,
+}
+
+impl Heads {
+    pub(crate) fn new(config: &ModelConfig, device: &Device) -> Self {
+        Self {
+            actionability: ActionabilityHead::new(config, device),
+            score: ScoreHead::new(config, device),
+            proposal: ProposalHead::new(config, device),
+        }
+    }
+}
+
+/// Which output of a head concerns each query: the position of its primitive in the configuration's list.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    rows: Tensor<1, Int>,
+    outputs: usize,
+}
+
+impl Choice {
+    /// `positions[i]` is the output that query i asks for, each below `outputs`.
+    #[must_use]
+    pub fn new(positions: &[usize], outputs: usize, device: &Device) -> Self {
+        let rows = positions.iter().enumerate().map(|(i, p)| (i * outputs + (*p).min(outputs - 1)) as i64);
+        let rows = TensorData::new(rows.collect::<Vec<_>>(), [positions.len()]);
+        Self { rows: Tensor::from_data(rows, device), outputs }
+    }
+
+    /// # Shapes
+    /// `[q, outputs]` -> `[q]`
+    #[must_use]
+    pub fn pick(&self, all: Tensor<2>) -> Tensor<1> {
+        let [q, outputs] = all.dims();
+        debug_assert_eq!(outputs, self.outputs);
+        all.reshape([q * outputs]).select(0, self.rows.clone())
+    }
+
+    /// # Shapes
+    /// `[q, outputs, n]` -> `[q, n]`
+    #[must_use]
+    pub fn pick_rows(&self, all: Tensor<3>) -> Tensor<2> {
+        let [q, outputs, n] = all.dims();
+        debug_assert_eq!(outputs, self.outputs);
+        all.reshape([q * outputs, n]).select(0, self.rows.clone())
+    }
+}
+
+/// The first layer of a head whose input is a feature and something else, split so that the feature's half can be
+/// computed once for many of the others.
+#[derive(Module, Debug)]
+pub struct SplitLinear {
+    /// Weight `[features + other, hidden]`, bias `[hidden]`.
+    pub linear: Linear,
+    /// How many of the inputs are the feature.
+    pub features: usize,
+}
+
+impl SplitLinear {
+    pub(crate) fn new(features: usize, other: usize, hidden: usize, device: &Device) -> Self {
+        Self { linear: linear(features + other, hidden, true, device), features }
+    }
+
+    /// # Shapes
+    /// `[n, features]` -> `[n, hidden]`, bias included
+    #[must_use]
+    pub fn feature_half(&self, features: Tensor<2>) -> Tensor<2> {
+        let half = features.matmul(self.linear.weight.val().slice(0..self.features));
+        match &self.linear.bias {
+            Some(bias) => half + bias.val().unsqueeze(),
+            None => half,
+        }
+    }
+
+    /// # Shapes
+    /// `[n, other]` -> `[n, hidden]`
+    #[must_use]
+    pub fn other_half(&self, other: Tensor<2>) -> Tensor<2> {
+        let weight = self.linear.weight.val();
+        let [inputs, _] = weight.dims();
+        other.matmul(weight.slice(self.features..inputs))
+    }
+}

@@ -1,0 +1,121 @@
+//! PointNet++ with single-scale grouping (Qi et al., 2017) in the published sizes, for scans.
+
+mod abstraction;
+mod hierarchy;
+mod mlp;
+mod propagation;
+mod surroundings;
+
+use burn::module::Module;
+use burn::tensor::{Device, Int, Tensor, TensorData};
+
+pub use abstraction::Abstraction;
+pub use hierarchy::{Grouping, Hierarchy, Interpolation, LEVELS, Level, SURROUNDINGS};
+pub use mlp::{MlpLayer, PointMlp};
+pub use propagation::Propagation;
+pub(crate) use surroundings::SIZES as SURROUNDINGS_SIZES;
+pub use surroundings::Surroundings;
+
+/// Sizes of the shared MLPs of the four steps down, without their inputs (published).
+pub(crate) const DOWN: [[usize; 3]; 4] = [[32, 32, 64], [64, 64, 128], [128, 128, 256], [256, 256, 512]];
+/// Sizes of the shared MLPs of the four steps up, the finest first, without their inputs (published).
+pub(crate) const UP: [&[usize]; 4] = [&[128, 128, 128], &[256, 128], &[256, 256], &[256, 256]];
+/// Channels of the input points: their coordinates once more.
+pub(crate) const INPUT_CHANNELS: usize = 3;
+
+/// Channels beside the points of every level: the input's, then what each step down says.
+pub(crate) fn level_channels() -> [usize; 5] {
+    [INPUT_CHANNELS, DOWN[0][2], DOWN[1][2], DOWN[2][2], DOWN[3][2]]
+}
+
+/// PointNet++ and a last layer to the features.
+#[derive(Module, Debug)]
+pub struct PointNet2 {
+    /// Four steps down: sample, group, describe.
+    pub abstraction: Vec<Abstraction>,
+    /// What is around each point in the full scan; not in the published network.
+    pub surroundings: Option<Surroundings>,
+    /// Four steps up, the finest first.
+    pub propagation: Vec<Propagation>,
+    /// `[features, 128]`, batch-norm, ReLU.
+    pub head: MlpLayer,
+}
+
+impl PointNet2 {
+    /// A network with all weights zero.
+    #[must_use]
+    pub fn new(features: usize, with_surroundings: bool, device: &Device) -> Self {
+        let channels = level_channels();
+        let surroundings = with_surroundings.then(|| Surroundings::new(device));
+        let around = if with_surroundings { surroundings::CHANNELS } else { 0 };
+        let abstraction = (0..4).map(|i| Abstraction::new(channels[i], &DOWN[i], device)).collect();
+        let propagation = (0..4)
+            .map(|i| {
+                let below = UP.get(i + 1).map_or(channels[4], |mlp| mlp[mlp.len() - 1]);
+                let skip = channels[i] + if i == 0 { around } else { 0 };
+                Propagation::new(below, skip, UP[i], device)
+            })
+            .collect();
+        let last = UP[0][UP[0].len() - 1];
+        Self { abstraction, surroundings, propagation, head: MlpLayer::new(last, features, device) }
+    }
+
+    /// Features of every point, with the points themselves as the full scan.
+    ///
+    /// # Shapes
+    /// - `points`: `[b, n, 3]`, prepared as [`crate::preprocess`] does
+    /// - output: `[b, n, features]`
+    #[must_use]
+    pub fn forward(&self, points: Tensor<3>) -> Tensor<3> {
+        let [b, n, _] = points.dims();
+        let device = points.device();
+        let data = points.into_data().convert::<f32>();
+        let points: &[f32] = data.as_slice().unwrap_or_default();
+        let mut hierarchy = Hierarchy::new(points, b);
+        if self.surroundings.is_some() {
+            let scans: Vec<&[f32]> = points.chunks_exact((3 * n).max(1)).collect();
+            hierarchy = hierarchy.with_surroundings(&scans);
+        }
+        let rows = self.forward_rows(&hierarchy, &device);
+        let [_, features] = rows.dims();
+        rows.reshape([b, n, features])
+    }
+
+    /// Features at every target of clouds whose neighbourhoods are known already: they do not depend on the weights
+    /// and can be prepared on another thread.
+    ///
+    /// # Shapes
+    /// output: `[targets, features]`, cloud by cloud; without targets `[b * n, features]`
+    #[must_use]
+    pub fn forward_rows(&self, hierarchy: &Hierarchy, device: &Device) -> Tensor<2> {
+        let points_of =
+            |xyz: &[f32]| Tensor::<2>::from_data(TensorData::new(xyz.to_vec(), [xyz.len() / 3, 3]), device);
+        let mut levels = vec![points_of(hierarchy.points())];
+        for (step, grouping) in self.abstraction.iter().zip(hierarchy.groupings()) {
+            let features = step.forward(&levels[levels.len() - 1], grouping, device);
+            levels.push(features);
+        }
+        let mut features = levels.pop();
+        let targets = points_of(hierarchy.targets());
+        levels[0] = match &self.surroundings {
+            Some(surroundings) => {
+                let [n, _] = targets.dims();
+                Tensor::cat(vec![targets, surroundings.forward(hierarchy.surroundings(), n, device)], 1)
+            }
+            None => targets,
+        };
+        for (step, interpolation) in self.propagation.iter().zip(hierarchy.interpolations()).rev() {
+            if let (Some(coarse), Some(skip)) = (features.take(), levels.pop()) {
+                features = Some(step.forward(coarse, skip, interpolation));
+            }
+        }
+        let nothing = || Tensor::zeros([hierarchy.targets().len() / 3, UP[0][0]], device);
+        self.head.forward(features.unwrap_or_else(nothing))
+    }
+}
+
+/// Row numbers on a device.
+pub(crate) fn rows(indices: Vec<i64>, device: &Device) -> Tensor<1, Int> {
+    let n = indices.len();
+    Tensor::from_data(TensorData::new(indices, [n]), device)
+}

@@ -1,0 +1,242 @@
+//! Scans to the points that PointNet++ sees, and back.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use nalgebra::Point3;
+use rand::RngExt;
+use rand::seq::index;
+use rand_chacha::ChaCha8Rng;
+use where2act_core::{Observation, Pixel};
+use where2act_kernels::points::{furthest_point_sampling, three_nearest};
+
+use super::PreprocessError;
+use crate::config::ModelConfig;
+use crate::pointnet::Hierarchy;
+
+/// How metres become network units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum CloudScale {
+    /// A cloud whose size was seen in training keeps its metres; another is scaled to the nearest size that was.
+    Trained,
+    /// This many network units a metre. 1 in training.
+    PerMetre(f32),
+}
+
+/// A scan as PointNet++ sees it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CloudInput {
+    /// Points in network units around their centre, three numbers each: `[points * 3]`.
+    pub xyz: Vec<f32>,
+    /// The scan at full density: the points that were chosen from, in random order, network units.
+    pub dense: Vec<f32>,
+    /// Which of the given points each is. A scan with fewer points than the network wants repeats some.
+    pub source: Vec<usize>,
+    /// Middle of the scan in its own frame, metres.
+    pub centre: Point3<f32>,
+    /// Network units a metre.
+    pub scale: f32,
+}
+
+/// The radius around the mean that holds this share of the points: some flying pixels do not change it.
+const ROBUST_SHARE: f32 = 0.95;
+/// Coordinates beyond this many metres are no measurements.
+const FURTHEST: f32 = 1e6;
+
+impl CloudInput {
+    /// Prepares points in the optical frame, metres. Points that are not finite are skipped.
+    ///
+    /// # Errors
+    /// [`PreprocessError::NoPoints`], [`PreprocessError::OnePlace`].
+    pub fn new(
+        points: &[Point3<f32>],
+        scale: CloudScale,
+        config: &ModelConfig,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<Self, PreprocessError> {
+        let finite: Vec<usize> =
+            (0..points.len()).filter(|i| points[*i].iter().all(|x| x.abs() < FURTHEST)).collect();
+        if finite.is_empty() {
+            return Err(PreprocessError::NoPoints);
+        }
+        let most = config.preprocessing.scan_candidates.min(finite.len());
+        // In random order: furthest point sampling starts at the first.
+        let candidates: Vec<usize> =
+            index::sample(rng, finite.len(), most).into_iter().map(|i| finite[i]).collect();
+        let sum = candidates
+            .iter()
+            .fold([0.0f64; 3], |s, &i| [0, 1, 2].map(|axis| s[axis] + f64::from(points[i][axis])));
+        let centre = Point3::from(sum.map(|x| (x / candidates.len() as f64) as f32));
+        let radius = robust_radius(candidates.iter().map(|&i| (points[i] - centre).norm()).collect());
+        if radius < 1e-6 {
+            return Err(PreprocessError::OnePlace(candidates.len()));
+        }
+        let scale = match scale {
+            CloudScale::PerMetre(scale) => scale,
+            CloudScale::Trained => {
+                let [low, high] = config.preprocessing.scan_radius;
+                radius.clamp(low, high) / radius
+            }
+        };
+        let in_network = |i: usize| ((points[i] - centre) * scale).into();
+        let all: Vec<f32> = candidates.iter().flat_map(|&i| -> [f32; 3] { in_network(i) }).collect();
+        let n = config.points;
+        let chosen: Vec<usize> = if candidates.len() > n {
+            furthest_point_sampling(&all, n, 0).into_iter().map(|i| i as usize).collect()
+        } else {
+            let again = (candidates.len()..n).map(|_| rng.random_range(0..candidates.len()));
+            (0..candidates.len()).chain(again).collect()
+        };
+        Ok(Self {
+            xyz: chosen.iter().flat_map(|&i| [all[3 * i], all[3 * i + 1], all[3 * i + 2]]).collect(),
+            source: chosen.into_iter().map(|i| candidates[i]).collect(),
+            dense: all,
+            centre,
+            scale,
+        })
+    }
+
+    /// Prepares an observation: the foreground of a depth map, or a scan. The second answer tells the pixel of every
+    /// point of a depth map, in the order that [`Self::source`] counts; it is empty for a scan.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn from_observation(
+        observation: &Observation,
+        scale: CloudScale,
+        config: &ModelConfig,
+        rng: &mut ChaCha8Rng,
+    ) -> Result<(Self, Vec<Pixel>), PreprocessError> {
+        match observation {
+            Observation::Cloud { points } => Ok((Self::new(points, scale, config, rng)?, Vec::new())),
+            Observation::Image { .. } => {
+                let (pixels, points): (Vec<_>, Vec<_>) = observation.foreground_points().into_iter().unzip();
+                Ok((Self::new(&points, scale, config, rng)?, pixels))
+            }
+        }
+    }
+
+    /// A point of the scan's frame, metres, in network units.
+    #[must_use]
+    pub fn network_from_metres(&self, point: &Point3<f32>) -> Point3<f32> {
+        Point3::from((point - self.centre) * self.scale)
+    }
+
+    /// The inverse of [`Self::network_from_metres`].
+    #[must_use]
+    pub fn metres_from_network(&self, point: &Point3<f32>) -> Point3<f32> {
+        self.centre + point.coords / self.scale
+    }
+
+    /// For each point of the scan's frame, metres, the nearest that the network sees: what queries are made of.
+    #[must_use]
+    pub fn nearest(&self, points: &[Point3<f32>]) -> Vec<usize> {
+        let wanted: Vec<f32> =
+            points.iter().flat_map(|p| <[f32; 3]>::from(self.network_from_metres(p))).collect();
+        let (nearest, _) = three_nearest(&wanted, &self.xyz);
+        nearest.into_iter().map(|[first, ..]| first as usize).collect()
+    }
+
+    /// Neighbourhoods of a batch for a network, with features wanted at `targets[i]` of input i: points in network
+    /// units, three numbers each.
+    #[must_use]
+    pub fn hierarchy(inputs: &[Self], targets: &[Vec<f32>], config: &ModelConfig) -> Hierarchy {
+        Self::surrounded(Hierarchy::with_targets(&Self::concatenated(inputs), targets), inputs, config)
+    }
+
+    /// Neighbourhoods for a network, with features wanted at every point.
+    #[must_use]
+    pub fn whole_hierarchy(&self, config: &ModelConfig) -> Hierarchy {
+        Self::surrounded(Hierarchy::new(&self.xyz, 1), std::slice::from_ref(self), config)
+    }
+
+    fn surrounded(hierarchy: Hierarchy, inputs: &[Self], config: &ModelConfig) -> Hierarchy {
+        if !config.surroundings {
+            return hierarchy;
+        }
+        hierarchy.with_surroundings(&inputs.iter().map(|input| input.dense.as_slice()).collect::<Vec<_>>())
+    }
+
+    /// Coordinates of a batch, one cloud after the other: what [`crate::Hierarchy::new`] takes.
+    #[must_use]
+    pub fn concatenated(inputs: &[Self]) -> Vec<f32> {
+        inputs.iter().flat_map(|input| input.xyz.iter().copied()).collect()
+    }
+
+    /// A batch.
+    ///
+    /// # Shapes
+    /// b inputs of n points -> `[b, n, 3]`
+    #[must_use]
+    pub fn batch(inputs: &[Self], device: &Device) -> Tensor<3> {
+        let n = inputs.first().map_or(0, |input| input.source.len());
+        Tensor::from_data(TensorData::new(Self::concatenated(inputs), [inputs.len(), n, 3]), device)
+    }
+
+    /// The robust radius of this scan in network units: what training collects for
+    /// [`crate::Preprocessing::scan_radius`].
+    #[must_use]
+    pub fn robust_radius(&self) -> f32 {
+        robust_radius(
+            self.xyz.chunks_exact(3).map(|p| (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]).sqrt()).collect(),
+        )
+    }
+}
+
+fn robust_radius(mut distances: Vec<f32>) -> f32 {
+    let last = distances.len() - 1;
+    let (_, radius, _) =
+        distances.select_nth_unstable_by((ROBUST_SHARE * last as f32) as usize, f32::total_cmp);
+    *radius
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Modality;
+    use where2act_core::{Primitive, Seed};
+
+    fn config(points: usize) -> ModelConfig {
+        ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(points)
+    }
+
+    /// A square of `side` metres, 3 m away.
+    fn square(side: f32, per_side: usize) -> Vec<Point3<f32>> {
+        let at = |i: usize| side * (i as f32 / (per_side - 1) as f32 - 0.5);
+        (0..per_side * per_side).map(|i| Point3::new(at(i % per_side) + 1.0, at(i / per_side), 3.0)).collect()
+    }
+
+    #[test]
+    fn sizes_seen_in_training_keep_their_metres_and_others_are_brought_there() {
+        let prepare = |side, scale| {
+            CloudInput::new(&square(side, 60), scale, &config(500), &mut Seed(1).rng()).unwrap()
+        };
+        let usual = prepare(1.0, CloudScale::Trained);
+        assert_eq!((usual.scale, usual.source.len(), usual.xyz.len()), (1.0, 500, 1500));
+        let tiny = prepare(0.01, CloudScale::Trained);
+        let huge = prepare(30.0, CloudScale::Trained);
+        assert!((tiny.robust_radius() - 0.4).abs() < 0.02, "{}", tiny.robust_radius());
+        assert!((huge.robust_radius() - 1.0).abs() < 0.05, "{}", huge.robust_radius());
+        assert_eq!(prepare(0.01, CloudScale::PerMetre(2.0)).scale, 2.0);
+        for (i, xyz) in huge.source.iter().zip(huge.xyz.chunks_exact(3)) {
+            let back = huge.metres_from_network(&Point3::new(xyz[0], xyz[1], xyz[2]));
+            assert!((back - square(30.0, 60)[*i]).norm() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn few_points_repeat_and_bad_ones_are_left_out() {
+        let mut points = square(1.0, 5);
+        points.push(Point3::new(f32::NAN, 0.0, 1.0));
+        points.push(Point3::new(f32::INFINITY, 0.0, 1.0));
+        let input = CloudInput::new(&points, CloudScale::Trained, &config(100), &mut Seed(1).rng()).unwrap();
+        assert_eq!(input.source.len(), 100);
+        for i in 0..25 {
+            assert!(input.source.contains(&i));
+            assert_eq!(input.source[input.nearest(&points[i..=i])[0]], i);
+        }
+        assert!(input.source.iter().all(|i| *i < 25));
+        let none = CloudInput::new(&points[25..], CloudScale::Trained, &config(100), &mut Seed(1).rng());
+        assert_eq!(none, Err(PreprocessError::NoPoints));
+        let one = CloudInput::new(&points[..1], CloudScale::Trained, &config(100), &mut Seed(1).rng());
+        assert_eq!(one, Err(PreprocessError::OnePlace(1)));
+    }
+}

@@ -1,0 +1,153 @@
+//! What a data set is made of.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
+use where2act_core::{Category, Primitive, Seed, Split};
+
+use super::CollectError;
+use crate::trial::Mode;
+
+/// Everything that decides a data set but the number of its scenes: same recipe, same scenes, bit for bit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Recipe {
+    /// Root of all randomness.
+    pub seed: Seed,
+    /// Which objects are drawn from.
+    pub objects: ObjectSet,
+    /// What is tried; trials take turns.
+    pub primitives: Vec<Primitive>,
+    /// Trials in every scene.
+    pub trials: usize,
+    /// Share of trials by the guided policy; the others are random.
+    pub guided: f64,
+    /// Cameras from a wide range instead of the published one, in half of the scenes.
+    pub wide: bool,
+    /// Random light, paint, background and sensor instead of the published look, in three scenes of four.
+    pub randomise: bool,
+    /// Every physics step at 500 Hz instead of the fast mode.
+    pub faithful: bool,
+}
+
+impl Default for Recipe {
+    /// Published exploration on generated objects of the training categories, half of it guided.
+    fn default() -> Self {
+        Self {
+            seed: Seed(0),
+            objects: ObjectSet::training(),
+            primitives: Primitive::ALL.to_vec(),
+            trials: 48,
+            guided: 0.5,
+            wide: false,
+            randomise: false,
+            faithful: false,
+        }
+    }
+}
+
+impl Recipe {
+    /// How trials are simulated.
+    #[must_use]
+    pub fn mode(&self) -> Mode {
+        if self.faithful { Mode::Faithful } else { Mode::Fast }
+    }
+
+    /// Seed of a scene.
+    #[must_use]
+    pub fn scene_seed(&self, index: u64) -> Seed {
+        self.seed.child("scene", index)
+    }
+}
+
+/// A set of objects to draw from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ObjectSet {
+    /// Generated objects; scenes take turns over the categories.
+    Procedural {
+        /// Which categories.
+        categories: Vec<Category>,
+        /// Seeds of the objects of every category: disjoint ranges are disjoint objects.
+        seeds: Range<u64>,
+    },
+    /// Folders of a PartNet-Mobility-like data set.
+    Folder {
+        /// The folder that holds `<Category>/<id>/mobility.urdf`.
+        root: PathBuf,
+        /// The objects, as `<Category>/<id>`.
+        names: Vec<String>,
+    },
+}
+
+impl ObjectSet {
+    /// Seeds of the objects that training may see; others are free for judging.
+    pub const TRAINING_SEEDS: Range<u64> = 0..1000;
+    /// Seeds of objects kept for judging.
+    pub const TEST_SEEDS: Range<u64> = 1_000_000..1_000_100;
+
+    /// Generated objects of the training categories.
+    #[must_use]
+    pub fn training() -> Self {
+        Self::Procedural { categories: categories_of(Split::Train), seeds: Self::TRAINING_SEEDS }
+    }
+
+    /// The objects in a folder, of `categories` if that is not empty.
+    ///
+    /// # Errors
+    /// If the folder cannot be read or holds no such object.
+    pub fn folder(root: &Path, categories: &[Category]) -> Result<Self, CollectError> {
+        let read = |path: &Path| {
+            let io = |source| CollectError::Io { path: path.to_owned(), source };
+            let mut names = Vec::new();
+            for entry in std::fs::read_dir(path).map_err(io)? {
+                names.push(entry.map_err(io)?.file_name().to_string_lossy().into_owned());
+            }
+            names.sort();
+            Ok::<_, CollectError>(names)
+        };
+        let mut names = Vec::new();
+        for folder in read(root)? {
+            let wanted =
+                categories.is_empty() || folder.parse().is_ok_and(|c: Category| categories.contains(&c));
+            if !wanted || !root.join(&folder).is_dir() {
+                continue;
+            }
+            for id in read(&root.join(&folder))? {
+                if root.join(&folder).join(&id).join("mobility.urdf").is_file() {
+                    names.push(format!("{folder}/{id}"));
+                }
+            }
+        }
+        if names.is_empty() {
+            return Err(CollectError::NoObjects { path: root.to_owned() });
+        }
+        Ok(Self::Folder { root: root.to_owned(), names })
+    }
+
+    /// Name of a random object for a scene.
+    pub(super) fn draw(&self, index: u64, rng: &mut impl Rng) -> Option<String> {
+        match self {
+            Self::Procedural { categories, seeds } => {
+                let category = categories.get((index % categories.len().max(1) as u64) as usize)?;
+                (!seeds.is_empty()).then(|| format!("{category}:{}", rng.random_range(seeds.clone())))
+            }
+            Self::Folder { names, .. } => names.get(rng.random_range(0..names.len().max(1))).cloned(),
+        }
+    }
+
+    /// What [`crate::object::open`] takes for an object of this set.
+    pub(super) fn spec(&self, name: &str) -> String {
+        match self {
+            Self::Procedural { .. } => name.to_owned(),
+            Self::Folder { root, .. } => root.join(name).to_string_lossy().into_owned(),
+        }
+    }
+}
+
+/// Categories of a split.
+#[must_use]
+pub fn categories_of(split: Split) -> Vec<Category> {
+    Category::ALL.into_iter().filter(|c| c.split() == split).collect()
+}

@@ -1,0 +1,121 @@
+//! Materials as shading uses them: linear colours, textures, repainting.
+
+use std::sync::Arc;
+
+use image::RgbImage;
+use nalgebra::Vector3;
+use rand::RngExt;
+use where2act_core::Seed;
+
+use super::pattern::{Grain, floor, random_colour};
+use super::sensor::{decoder, linear};
+use crate::object::Material;
+
+/// A [`Material`] ready for shading.
+pub(super) struct Paint {
+    colour: Vector3<f32>,
+    texture: Option<Arc<RgbImage>>,
+    grain: Option<Grain>,
+    pub(super) specular: f32,
+    pub(super) shininess: f32,
+    pub(super) opacity: f32,
+}
+
+impl Paint {
+    pub(super) fn new(material: &Material) -> Self {
+        Self {
+            colour: Vector3::from(material.colour.map(linear)),
+            texture: material.texture.clone().filter(|t| t.width() > 0 && t.height() > 0),
+            grain: None,
+            specular: material.specular,
+            shininess: material.shininess.max(1.0),
+            opacity: material.opacity.clamp(0.0, 1.0),
+        }
+    }
+
+    /// The same surface in other colours: most solid materials change, textures stay or go, some get a grain.
+    pub(super) fn repainted(material: &Material, seed: Seed) -> Self {
+        let rng = &mut seed.rng();
+        let mut paint = Self::new(material);
+        if paint.opacity < 1.0 {
+            return paint;
+        }
+        if paint.texture.is_some() {
+            if rng.random_bool(0.4) {
+                paint.texture = None;
+                paint.colour = Vector3::from(random_colour(rng).map(linear));
+            } else if rng.random_bool(0.5) {
+                let tint: [f32; 3] = std::array::from_fn(|_| rng.random_range(0.5..1.1));
+                paint.colour = paint.colour.component_mul(&Vector3::from(tint));
+            }
+        } else if rng.random_bool(0.75) {
+            paint.colour = Vector3::from(random_colour(rng).map(linear));
+        }
+        if paint.texture.is_none() && rng.random_bool(0.4) {
+            paint.grain = Some(Grain::random(rng));
+        }
+        if rng.random_bool(0.5) {
+            paint.specular = rng.random_range(0.0..0.6f32).powi(2) * 2.0;
+            paint.shininess = rng.random_range(4.0..80.0);
+        }
+        paint
+    }
+
+    /// Whether the colour is the same everywhere.
+    pub(super) fn is_even(&self) -> bool {
+        self.texture.is_none() && self.grain.is_none()
+    }
+
+    /// Linear colour at a texture coordinate and a point in the mesh frame.
+    pub(super) fn albedo(&self, uv: [f32; 2], point: impl FnOnce() -> Vector3<f32>) -> Vector3<f32> {
+        let mut albedo = self.colour;
+        if let Some(texture) = &self.texture {
+            albedo.component_mul_assign(&bilinear(texture, uv));
+        }
+        if let Some(grain) = &self.grain {
+            albedo *= grain.at(&point());
+        }
+        albedo
+    }
+}
+
+/// Texture at (u, v), v upwards, repeating.
+fn bilinear(texture: &RgbImage, [u, v]: [f32; 2]) -> Vector3<f32> {
+    let (w, h) = (texture.width() as usize, texture.height() as usize);
+    let along = |t: f32, n: usize| {
+        let x = (t - floor(t)) * n as f32 - 0.5;
+        let low = floor(x);
+        // From -1 to n - 1.
+        let first = if low < 0.0 { n - 1 } else { (low as usize).min(n - 1) };
+        (first, if first + 1 == n { 0 } else { first + 1 }, x - low)
+    };
+    let (x0, x1, tx) = along(u, w);
+    let (y0, y1, ty) = along(1.0 - v, h);
+    let linear = decoder();
+    let raw = texture.as_raw();
+    let texel = |x: usize, y: usize| {
+        let at = (y * w + x) * 3;
+        let [r, g, b] = [raw[at], raw[at + 1], raw[at + 2]].map(|code| linear[usize::from(code)]);
+        Vector3::new(r, g, b)
+    };
+    let top = texel(x0, y0).lerp(&texel(x1, y0), tx);
+    let bottom = texel(x0, y1).lerp(&texel(x1, y1), tx);
+    top.lerp(&bottom, ty)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn textures_are_upright_repeat_and_blend() {
+        let mut texture = RgbImage::new(2, 2);
+        texture.put_pixel(0, 0, image::Rgb([255, 0, 0])); // top left: u = 0.25, v = 0.75
+        texture.put_pixel(1, 1, image::Rgb([0, 0, 255])); // bottom right: u = 0.75, v = 0.25
+        assert_eq!(bilinear(&texture, [0.25, 0.75]), Vector3::new(1.0, 0.0, 0.0));
+        assert_eq!(bilinear(&texture, [0.75, 0.25]), Vector3::new(0.0, 0.0, 1.0));
+        assert_eq!(bilinear(&texture, [-2.25, 3.25]), Vector3::new(0.0, 0.0, 1.0));
+        assert_eq!(bilinear(&texture, [0.5, 0.5]), Vector3::new(0.25, 0.0, 0.25));
+        assert!(bilinear(&texture, [f32::NAN, f32::INFINITY]).iter().all(|c| c.is_nan() || *c >= 0.0));
+    }
+}

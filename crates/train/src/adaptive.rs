@@ -1,0 +1,92 @@
+//! Online sampling: what the current network would do is tried, beside random trials. Taking the best of thousands of
+//! proposals finds whatever the score is wrong about; this is where it learns that.
+
+use rand::seq::{SliceRandom, index};
+use rayon::prelude::*;
+use where2act_core::{Policy, Primitive, Seed, Trial};
+use where2act_infer::{Backend, Error, Predictor};
+use where2act_model::{Network, Weights};
+use where2act_sim::Mode;
+use where2act_sim::collect::{CollectError, Preparer, ScenePrep};
+use where2act_sim::sampling::{Candidate, Sampler};
+
+use crate::config::AdaptiveConfig;
+use crate::dataset::{Dataset, SceneId};
+use crate::evaluate::proposals;
+use crate::run::NewTrials;
+
+/// Of so many best proposals of a primitive those to try are drawn; the best one always is among them.
+const BEST: usize = 12;
+
+/// Why there are no new trials.
+#[derive(Debug, thiserror::Error)]
+pub enum ExploreError {
+    /// A scene cannot be made again.
+    #[error(transparent)]
+    Scene(#[from] CollectError),
+    /// The network cannot predict.
+    #[error("online sampling: {0}")]
+    Predict(#[from] Error),
+}
+
+/// (trials, successes) of a policy among new trials.
+#[must_use]
+pub fn count(trials: &NewTrials, policy: Policy) -> (usize, usize) {
+    let of = trials.iter().flat_map(|(_, trials)| trials).filter(|t| t.policy == policy);
+    of.fold((0, 0), |(n, successes), t| (n + 1, successes + usize::from(t.verdict.success)))
+}
+
+/// New trials on randomly drawn scenes of `scenes`: on each of them, half are the network's own best proposals and half
+/// random, primitives taking turns. `progress` is called after every scene.
+///
+/// # Errors
+/// Any [`ExploreError`].
+pub fn explore(
+    network: &Network,
+    preparer: &Preparer,
+    dataset: &Dataset,
+    scenes: &[SceneId],
+    config: &AdaptiveConfig,
+    seed: Seed,
+    progress: &(dyn Fn() + Sync),
+) -> Result<NewTrials, ExploreError> {
+    let weights = Weights { network: network.clone(), sha256: String::new() };
+    let predictor = Predictor::from_weights(weights, Backend::default())?;
+    let drawn = index::sample(&mut seed.rng(), scenes.len(), config.scenes.min(scenes.len())).into_vec();
+    let one = |(i, scene): (usize, usize)| {
+        let id = scenes[scene];
+        let info = &dataset.shards()[id.shard].scenes()[id.scene];
+        let prep = preparer.restore(info)?;
+        let trials = explore_scene(&predictor, &prep, config.trials, seed.child("scene", i as u64))?;
+        progress();
+        Ok((id, trials))
+    };
+    drawn.into_par_iter().enumerate().map(one).collect()
+}
+
+fn explore_scene(
+    predictor: &Predictor,
+    prep: &ScenePrep,
+    trials: usize,
+    seed: Seed,
+) -> Result<Vec<Trial>, ExploreError> {
+    let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(Vec::new()) };
+    let primitives = &predictor.config().primitives;
+    let mut chosen: Vec<(Primitive, Policy, Candidate)> = Vec::new();
+    for n in 0..trials.div_ceil(2) {
+        let primitive = primitives[n % primitives.len()];
+        let mut rng = seed.child("random", n as u64).rng();
+        chosen.push((primitive, Policy::Random, sampler.random(&mut rng)));
+    }
+    let all = proposals(predictor, prep, &sampler, BEST, seed)?;
+    for (p, (mut own, &primitive)) in all.into_iter().zip(primitives).enumerate() {
+        // The turns of this primitive among the other half of the trials.
+        let count = (trials / 2 + primitives.len() - 1 - p) / primitives.len();
+        if let Some((_, rest)) = own.split_first_mut() {
+            rest.shuffle(&mut seed.child("own", primitive as u64).rng());
+        }
+        chosen.extend(own.into_iter().take(count).map(|c| (primitive, Policy::Adaptive, c)));
+    }
+    let run = |(primitive, policy, candidate)| prep.run(primitive, policy, &candidate, Mode::Fast);
+    Ok(chosen.into_iter().map(run).collect())
+}

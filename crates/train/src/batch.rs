@@ -1,0 +1,302 @@
+//! From scenes to what one training step sees. A batch is a pure function of the data, the configuration and a seed.
+
+use std::sync::Arc;
+
+use nalgebra::Point3;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use where2act_core::shard::{DEPTH_SIDE, RGB_SIDE};
+use where2act_core::{ImageSize, Pixel, Seed};
+use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
+use where2act_model::{Hierarchy, Modality, ModelConfig};
+
+use crate::config::{BatchConfig, TrainConfig};
+use crate::dataset::{DataError, Dataset, SceneId};
+use crate::questions::{self, Question};
+use crate::replay::Replay;
+
+/// What the network is shown and asked.
+#[derive(Clone, Debug)]
+pub struct Batch {
+    /// Pictures or clouds.
+    pub input: BatchInput,
+    /// The questions and their answers.
+    pub queries: Queries,
+}
+
+/// A batch of prepared inputs.
+#[derive(Clone, Debug)]
+pub enum BatchInput {
+    /// `[views, 3, side, side]`, normalised.
+    Images {
+        /// The numbers.
+        pixels: Vec<f32>,
+        /// Views.
+        views: usize,
+        /// Width and height.
+        side: usize,
+    },
+    /// Clouds with the queries' points as targets.
+    Clouds(Box<Hierarchy>),
+}
+
+/// Trials first, then places where only actionability is asked.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Queries {
+    /// (view, pixel of the picture or target of the view), for trials and places.
+    pub places: Vec<(usize, usize)>,
+    /// Which output of the heads each is about, for trials and places.
+    pub outputs: Vec<usize>,
+    /// `[approach, forward]` of each trial in the camera frame.
+    pub orientations: Vec<[f32; 6]>,
+    /// 1 for success, 0 for failure, of each trial.
+    pub labels: Vec<f32>,
+    /// How much each trial counts: successes and failures of a primitive count the same in a batch.
+    pub weights: Vec<f32>,
+}
+
+impl Queries {
+    /// Number of trials.
+    #[must_use]
+    pub fn trials(&self) -> usize {
+        self.labels.len()
+    }
+}
+
+/// One view's share of a batch.
+struct View {
+    input: ViewInput,
+    /// Trials as (place, output, orientation, success).
+    trials: Vec<(usize, usize, [f32; 6], bool)>,
+    /// Places as (place, output).
+    places: Vec<(usize, usize)>,
+}
+
+enum ViewInput {
+    Image(Vec<f32>),
+    /// The cloud, then the targets' points.
+    Cloud(CloudInput, Vec<f32>),
+}
+
+/// Everything batches are made from.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// The shards.
+    pub dataset: Arc<Dataset>,
+    /// Scenes to draw from.
+    pub scenes: Arc<[SceneId]>,
+    /// Newer trials on the same scenes.
+    pub replay: Arc<Replay>,
+    /// What is trained.
+    pub model: ModelConfig,
+    /// What a step sees.
+    pub config: BatchConfig,
+    /// The run's seed.
+    pub seed: Seed,
+}
+
+impl Source {
+    /// A source for a run.
+    #[must_use]
+    pub fn new(
+        dataset: Arc<Dataset>,
+        scenes: Arc<[SceneId]>,
+        replay: Arc<Replay>,
+        config: &TrainConfig,
+    ) -> Self {
+        let (model, batch, seed) = (config.model(), config.batch.clone(), config.root_seed());
+        Self { dataset, scenes, replay, model, config: batch, seed }
+    }
+
+    /// Scenes of a step: every scene comes once before any comes again, in an order that changes every time.
+    #[must_use]
+    pub fn scenes_of(&self, step: usize) -> Vec<SceneId> {
+        let n = self.scenes.len();
+        let mut order: Option<(usize, Vec<usize>)> = None;
+        (step * self.config.views..(step + 1) * self.config.views)
+            .map(|position| {
+                let (round, place) = (position / n, position % n);
+                if order.as_ref().is_none_or(|(r, _)| *r != round) {
+                    let mut shuffled: Vec<usize> = (0..n).collect();
+                    shuffled.shuffle(&mut self.seed.child("order", round as u64).rng());
+                    order = Some((round, shuffled));
+                }
+                self.scenes[order.as_ref().map_or(place, |(_, shuffled)| shuffled[place])]
+            })
+            .collect()
+    }
+
+    /// The batch of a step.
+    ///
+    /// # Errors
+    /// Those of reading a shard.
+    pub fn batch(&self, step: usize) -> Result<Batch, DataError> {
+        let seed = self.seed.child("batch", step as u64);
+        let views: Vec<View> = self
+            .scenes_of(step)
+            .into_par_iter()
+            .enumerate()
+            .map(|(i, id)| self.view(id, &mut seed.child("view", i as u64).rng()))
+            .collect::<Result<_, _>>()?;
+        Ok(assemble(views, &self.model))
+    }
+
+    fn view(&self, id: SceneId, rng: &mut ChaCha8Rng) -> Result<View, DataError> {
+        let shard = &self.dataset.shards()[id.shard];
+        let mut trials = shard.trials(id.scene)?;
+        trials.extend(self.replay.trials(id));
+        let link = shard.link(id.scene);
+        let pixels_of = |wanted: &dyn Fn(u8) -> bool| -> Vec<u32> {
+            (0..link.len() as u32).filter(|&i| wanted(link[i as usize])).collect()
+        };
+        let (fixed, movable) = (pixels_of(&|link| link == 1), pixels_of(&|link| link > 1));
+        let mut questions = questions::choose(&trials, &fixed, &self.model, &self.config, rng);
+        let mut places = questions::places(&fixed, &movable, &self.model, &self.config, rng);
+        let mirrored = rng.random::<f32>() < self.config.mirrored;
+        if mirrored {
+            questions.iter_mut().for_each(Question::mirror);
+        }
+        // A scanner measures some pixels not at all, and those have no point to ask about.
+        let foreground = match self.model.modality {
+            Modality::Rgb => Vec::new(),
+            Modality::Cloud => {
+                let seen = shard.foreground(id.scene);
+                questions.retain(|q| point_of(&seen, q.pixel).is_some());
+                places.retain(|(pixel, _)| point_of(&seen, *pixel).is_some());
+                seen
+            }
+        };
+        let view = match self.model.modality {
+            Modality::Rgb => image_view(&shard.rgb(id.scene), &questions, &places, mirrored, &self.model),
+            Modality::Cloud => cloud_view(&foreground, &questions, &places, mirrored, &self.model, rng),
+        };
+        view.map_err(|source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source })
+    }
+}
+
+/// Pixel of the stored picture that shows a pixel of the stored depth map.
+pub(crate) fn picture_pixel(pixel: Pixel) -> Pixel {
+    let shrink = (DEPTH_SIDE / RGB_SIDE) as u32;
+    Pixel { u: pixel.u / shrink, v: pixel.v / shrink }
+}
+
+fn image_view(
+    rgb: &[[u8; 3]],
+    questions: &[Question],
+    places: &[(Pixel, usize)],
+    mirrored: bool,
+    model: &ModelConfig,
+) -> Result<View, PreprocessError> {
+    let mut input = ImageInput::new(ImageSize::square(RGB_SIDE), rgb, None, &model.preprocessing)?;
+    let side = model.preprocessing.image_side;
+    if mirrored {
+        input.values.chunks_exact_mut(side).for_each(<[f32]>::reverse);
+    }
+    let place = |pixel: Pixel| {
+        let index = input.letterbox.network_index(picture_pixel(pixel));
+        if mirrored { index / side * side + (side - 1 - index % side) } else { index }
+    };
+    Ok(View {
+        trials: questions.iter().map(|q| (place(q.pixel), q.output, q.orientation, q.success)).collect(),
+        places: places.iter().map(|(pixel, output)| (place(*pixel), *output)).collect(),
+        input: ViewInput::Image(input.values),
+    })
+}
+
+/// The point seen at a pixel. Pixels come row by row, so it is found by bisection.
+fn point_of(foreground: &[(Pixel, Point3<f32>)], pixel: Pixel) -> Option<Point3<f32>> {
+    let found = foreground.binary_search_by_key(&(pixel.v, pixel.u), |(p, _)| (p.v, p.u)).ok()?;
+    Some(foreground[found].1)
+}
+
+fn cloud_view(
+    foreground: &[(Pixel, Point3<f32>)],
+    questions: &[Question],
+    places: &[(Pixel, usize)],
+    mirrored: bool,
+    model: &ModelConfig,
+    rng: &mut ChaCha8Rng,
+) -> Result<View, PreprocessError> {
+    let seen = |point: Point3<f32>| if mirrored { Point3::new(-point.x, point.y, point.z) } else { point };
+    let points: Vec<_> = foreground.iter().map(|(_, point)| seen(*point)).collect();
+    let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), model, rng)?;
+    let asked = questions.iter().map(|q| q.pixel).chain(places.iter().map(|(pixel, _)| *pixel));
+    let targets = asked
+        .filter_map(|pixel| point_of(foreground, pixel))
+        .flat_map(|point| <[f32; 3]>::from(cloud.network_from_metres(&seen(point))))
+        .collect();
+    let n = questions.len();
+    Ok(View {
+        input: ViewInput::Cloud(cloud, targets),
+        trials: questions.iter().enumerate().map(|(i, q)| (i, q.output, q.orientation, q.success)).collect(),
+        places: places.iter().enumerate().map(|(i, (_, output))| (n + i, *output)).collect(),
+    })
+}
+
+fn assemble(views: Vec<View>, model: &ModelConfig) -> Batch {
+    let mut queries = Queries::default();
+    for (v, view) in views.iter().enumerate() {
+        for (place, output, orientation, success) in &view.trials {
+            queries.places.push((v, *place));
+            queries.outputs.push(*output);
+            queries.orientations.push(*orientation);
+            queries.labels.push(f32::from(u8::from(*success)));
+        }
+    }
+    queries.weights = balanced(&queries, model.primitives.len());
+    for (v, view) in views.iter().enumerate() {
+        for (place, output) in &view.places {
+            queries.places.push((v, *place));
+            queries.outputs.push(*output);
+        }
+    }
+    let count = views.len();
+    let (mut pixels, mut clouds, mut targets) = (Vec::new(), Vec::new(), Vec::new());
+    for view in views {
+        match view.input {
+            ViewInput::Image(image) => pixels.extend(image),
+            ViewInput::Cloud(cloud, wanted) => {
+                clouds.push(cloud);
+                targets.push(wanted);
+            }
+        }
+    }
+    let input = match model.modality {
+        Modality::Rgb => BatchInput::Images { pixels, views: count, side: model.preprocessing.image_side },
+        Modality::Cloud => BatchInput::Clouds(Box::new(CloudInput::hierarchy(&clouds, &targets, model))),
+    };
+    Batch { input, queries }
+}
+
+/// Weights with which successes and failures of every primitive count the same, and all primitives too.
+fn balanced(queries: &Queries, outputs: usize) -> Vec<f32> {
+    let mut counts = vec![[0usize; 2]; outputs];
+    for (output, label) in queries.outputs.iter().zip(&queries.labels) {
+        counts[*output][usize::from(*label > 0.5)] += 1;
+    }
+    let weight = |output: usize, label: f32| 1.0 / counts[output][usize::from(label > 0.5)] as f32;
+    queries.outputs.iter().zip(&queries.labels).map(|(output, label)| weight(*output, *label)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn successes_and_failures_weigh_the_same() {
+        let queries = Queries {
+            outputs: vec![0, 0, 0, 1, 1],
+            labels: vec![1.0, 0.0, 0.0, 1.0, 0.0],
+            ..Queries::default()
+        };
+        assert_eq!(balanced(&queries, 2), vec![1.0, 0.5, 0.5, 1.0, 1.0]);
+    }
+
+    #[test]
+    fn a_depth_pixel_and_its_picture_pixel_agree() {
+        assert_eq!(picture_pixel(Pixel { u: 447, v: 447 }), Pixel { u: 223, v: 223 });
+        assert_eq!(picture_pixel(Pixel { u: 3, v: 2 }), Pixel { u: 1, v: 1 });
+    }
+}

@@ -1,0 +1,92 @@
+//! Judges weights by what their proposals achieve in simulation.
+
+mod shared;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::bail;
+use clap::Parser;
+use where2act_core::{Category, Seed, Split, program};
+use where2act_sim::collect::{ObjectSet, categories_of};
+use where2act_train::evaluate::EvaluateConfig;
+
+use shared::Work;
+
+#[global_allocator]
+static ALLOCATOR: where2act_kernels::KeepLarge = where2act_kernels::KeepLarge::new();
+
+/// Judge weights: F-score on random trials, success rate of executed proposals, baselines.
+#[derive(Parser)]
+#[command(
+    version,
+    after_help = "Examples:
+  evaluate --weights weights/cloud --split shapes --episodes 100 --out shapes.json
+  evaluate --weights weights/cloud --split novel --out novel.json
+  evaluate --weights weights/cloud --objects my-partnet-folder --out real.json"
+)]
+struct Args {
+    /// Weights folder.
+    #[arg(long)]
+    weights: PathBuf,
+    /// `procedural`, or a folder of objects (`<Category>/<id>/mobility.urdf`).
+    #[arg(long, default_value = "procedural")]
+    objects: String,
+    /// Which generated objects: shapes that training has not seen, or categories it has not seen.
+    #[arg(long, default_value = "shapes", value_parser = ["shapes", "novel"])]
+    split: String,
+    /// Only these categories.
+    #[arg(long, value_delimiter = ',')]
+    categories: Vec<Category>,
+    /// Scenes.
+    #[arg(long, default_value_t = 100)]
+    episodes: u64,
+    /// Proposals executed for each scene and primitive.
+    #[arg(long, default_value_t = 5)]
+    proposals: usize,
+    /// Random trials for each scene and primitive.
+    #[arg(long, default_value_t = 16)]
+    random: usize,
+    /// Trials that know the joint, at most, before a primitive counts as impossible in a scene.
+    #[arg(long, default_value_t = 200)]
+    informed: usize,
+    /// Random lights, materials, backgrounds and sensors instead of the published look.
+    #[arg(long)]
+    randomise: bool,
+    /// Root of the randomness.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Report to write, JSON; a Markdown table of the same name lies beside it.
+    #[arg(long)]
+    out: PathBuf,
+    #[command(flatten)]
+    work: Work,
+}
+
+fn main() -> ExitCode {
+    program::run("evaluate", "error", |args: Args| run(&args))
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let stop = args.work.begin()?;
+    let config = EvaluateConfig {
+        proposals: args.proposals,
+        random: args.random,
+        informed: args.informed,
+        randomise: args.randomise,
+        ..EvaluateConfig::new(objects(args)?, args.episodes, Seed(args.seed))
+    };
+    if config.proposals == 0 || config.scenes == 0 {
+        bail!("--proposals and --episodes: expected at least 1");
+    }
+    args.work.judge(&args.weights, &config, &stop, &args.out)
+}
+
+fn objects(args: &Args) -> anyhow::Result<ObjectSet> {
+    if args.objects != "procedural" {
+        return Ok(ObjectSet::folder(args.objects.as_ref(), &args.categories)?);
+    }
+    let split = if args.split == "novel" { Split::Novel } else { Split::Train };
+    let categories = if args.categories.is_empty() { categories_of(split) } else { args.categories.clone() };
+    Ok(ObjectSet::Procedural { categories, seeds: ObjectSet::TEST_SEEDS })
+}

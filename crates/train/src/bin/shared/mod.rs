@@ -1,0 +1,85 @@
+//! What `train` and `evaluate` have in common: their start, progress on the terminal, judging weights.
+
+use std::io::{IsTerminal, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use anyhow::Context;
+use burn::tensor::Device;
+use indicatif::{ProgressBar, ProgressStyle};
+use where2act_core::{program, write_whole};
+use where2act_infer::Predictor;
+use where2act_model::Weights;
+use where2act_train::evaluate::{EvaluateConfig, evaluate};
+
+/// Flags of every program that computes for long.
+#[derive(clap::Args)]
+pub(crate) struct Work {
+    /// Threads. Default: all cores.
+    #[arg(long)]
+    jobs: Option<usize>,
+    /// No progress on the terminal.
+    #[arg(long)]
+    quiet: bool,
+}
+
+impl Work {
+    /// Sets up threads and signals. The flag that is returned is set by Ctrl-C and SIGTERM.
+    pub(crate) fn begin(&self) -> anyhow::Result<Arc<AtomicBool>> {
+        program::limit_threads(self.jobs)?;
+        Ok(program::stop_flag()?)
+    }
+
+    /// A progress bar, if there is a terminal that wants one.
+    pub(crate) fn bar(&self, length: u64, what: &'static str) -> ProgressBar {
+        if self.quiet || !std::io::stderr().is_terminal() {
+            return ProgressBar::hidden();
+        }
+        let bar = ProgressBar::new(length).with_prefix(what);
+        let template = "{prefix} [{bar:30}] {pos}/{len} ({per_sec}, {eta} left) {msg}";
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        bar.enable_steady_tick(Duration::from_millis(200));
+        bar
+    }
+
+    /// Judges weights, and writes and prints the report: JSON at `out`, a Markdown table of the same name beside it.
+    pub(crate) fn judge(
+        &self,
+        weights: &Path,
+        config: &EvaluateConfig,
+        stop: &AtomicBool,
+        out: &Path,
+    ) -> anyhow::Result<()> {
+        let predictor = Predictor::load(weights)?;
+        let network = Weights::load(weights, &Device::flex())?.network;
+        // Judging takes minutes: a report that cannot be written is found out first.
+        let markdown = out.with_extension("md");
+        for path in [out, &markdown] {
+            check_writable(path).with_context(|| format!("--out {}", path.display()))?;
+        }
+        let bar = self.bar(config.scenes, "evaluating");
+        let report = evaluate(&predictor, &network, config, stop, &|done| bar.set_position(done))?;
+        bar.finish_and_clear();
+        let table = report.to_markdown();
+        write_whole(out, |w| Ok(serde_json::to_writer_pretty(w, &report)?))
+            .with_context(|| out.display().to_string())?;
+        write_whole(&markdown, |w| w.write_all(table.as_bytes()))
+            .with_context(|| markdown.display().to_string())?;
+        println!("{table}");
+        Ok(())
+    }
+}
+
+/// Whether a file could be written here; a file that is there already stays as it is.
+fn check_writable(path: &Path) -> std::io::Result<()> {
+    if path.is_dir() {
+        return Err(std::io::ErrorKind::IsADirectory.into());
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder)?;
+    tempfile::tempfile_in(folder).map(drop)
+}

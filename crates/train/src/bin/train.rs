@@ -1,0 +1,293 @@
+//! Trains a network: from shards, or from nothing at all.
+
+mod shared;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use anyhow::{Context, bail};
+use burn::tensor::Device;
+use clap::Parser;
+use indicatif::ProgressBar;
+use where2act_core::shard::Manifest;
+use where2act_core::{Policy, Seed, program};
+use where2act_model::Modality;
+use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
+use where2act_train::evaluate::EvaluateConfig;
+use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
+use where2act_train::{Dataset, TrainConfig, adaptive};
+
+use shared::Work;
+
+/// Large buffers are kept for the next step instead of being returned to the system: half of a step's time.
+#[global_allocator]
+static ALLOCATOR: where2act_kernels::KeepLarge = where2act_kernels::KeepLarge::new();
+
+/// Train a network on interaction trials.
+#[derive(Parser)]
+#[command(
+    version,
+    after_help = "Examples:
+  train                                             collect a small set, train for minutes, evaluate
+  train --config configs/standard.toml --data data/cloud --out runs/cloud
+  train --config configs/standard.toml --data data/cloud --out runs/cloud --resume
+  train --data data/cloud --modality rgb --steps 2000
+  train --config configs/standard.toml --from weights/cloud --data data/mine --out runs/mine"
+)]
+struct Args {
+    /// TOML file that describes the run.
+    #[arg(long, default_value = "configs/quick.toml")]
+    config: PathBuf,
+    /// Folder of shards, as `collect` writes it. Default: data/NAME, collected first if it is not there.
+    #[arg(long)]
+    data: Option<PathBuf>,
+    /// Folder of the run: checkpoints, metrics, curves, weights. Default: runs/NAME.
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Go on from the newest checkpoint in the run's folder.
+    #[arg(long)]
+    resume: bool,
+    /// Skip damaged shards instead of stopping.
+    #[arg(long)]
+    skip_damaged: bool,
+    /// Another seed than the configuration's.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own.
+    #[arg(long)]
+    from: Option<PathBuf>,
+    /// Other numbers of steps than the configuration's: all of them, a quarter for the score alone.
+    #[arg(long)]
+    steps: Option<usize>,
+    /// Pictures or scans, instead of what the configuration says.
+    #[arg(long, value_parser = ["rgb", "cloud"])]
+    modality: Option<String>,
+    /// No online sampling.
+    #[arg(long)]
+    no_adaptive: bool,
+    /// Scenes of the evaluation at the end; 0 = none.
+    #[arg(long, default_value_t = 40)]
+    episodes: u64,
+    /// Backend.
+    #[arg(long, default_value = "flex", value_parser = ["flex", "ndarray"])]
+    device: String,
+    #[command(flatten)]
+    work: Work,
+}
+
+fn main() -> ExitCode {
+    program::run("train", "error", |args: Args| run(&args))
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let stop = args.work.begin()?;
+    let config = configure(args)?;
+    let data = args.data.clone().unwrap_or_else(|| Path::new("data").join(&config.name));
+    let out = args.out.clone().unwrap_or_else(|| Path::new("runs").join(&config.name));
+    if !args.resume && out.join(files::CHECKPOINTS).exists() {
+        bail!("{}: holds a run already, expected an empty folder (or --resume to go on)", out.display());
+    }
+    // Collecting takes minutes: a folder that cannot be made is found out first.
+    std::fs::create_dir_all(&out).with_context(|| format!("--out {}", out.display()))?;
+    if args.data.is_none() {
+        collect(&config, &data, &args.work, &stop)?;
+    }
+    let dataset = Arc::new(Dataset::open(&data, args.skip_damaged)?);
+    for damage in &dataset.skipped {
+        eprintln!("skipped: {damage}");
+    }
+    #[allow(deprecated, reason = "asked for by name; burn 0.23 drops it")]
+    let device = if args.device == "ndarray" { Device::ndarray() } else { Device::flex() };
+    let bar = args.work.bar(config.steps() as u64, "training");
+    let recipe = Manifest::load(dataset.folder())?.recipe;
+    let preparer = serde_json::from_value::<Recipe>(recipe).ok().map(Preparer::new);
+    let mut share = Stages::default();
+    let mut on_step = |report: &StepReport| {
+        share.add(report);
+        bar.set_position(report.step as u64);
+        bar.set_message(show(report));
+    };
+    let mut on_epoch = |report: &EpochReport<'_>| {
+        let best = if report.is_best { ", best so far" } else { "" };
+        let figure = report.validation.figure;
+        let step = report.step;
+        say(&bar, &format!("step {step}: validation mean average precision {figure:.3}{best}"));
+        explore(&config, report, preparer.as_ref(), &dataset, &bar)
+    };
+    let control = Control { stop: &stop, on_step: &mut on_step, on_epoch: &mut on_epoch };
+    let outcome = train(&config, Arc::clone(&dataset), &out, &device, control)?;
+    bar.finish_and_clear();
+    eprintln!("{}", share.show());
+    if !outcome.finished {
+        let done = outcome.progress.step;
+        eprintln!(
+            "stopped after {done} of {} steps; go on with the same command and --resume",
+            config.steps()
+        );
+        return Ok(());
+    }
+    let Some(weights) = outcome.weights else {
+        bail!(
+            "{}: no weights, because the run has no step with all heads (schedule.joint_steps)",
+            out.display()
+        )
+    };
+    if args.episodes > 0 {
+        judge(&config, &weights, args, &out, &stop)?;
+    }
+    println!("weights: {}", weights.display());
+    println!("curves:  {}", out.join(files::CURVES).display());
+    let input = if config.network.modality == Modality::Rgb {
+        "examples/cabinet.png"
+    } else {
+        "examples/cabinet.ply"
+    };
+    println!("next:    cargo run --bin predict {input} --weights {}", weights.display());
+    Ok(())
+}
+
+/// The file, with the flags over it.
+fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
+    let mut config = TrainConfig::load(&args.config)?;
+    if let Some(seed) = args.seed {
+        config.seed = seed;
+    }
+    if let Some(from) = &args.from {
+        config.from = Some(from.clone());
+    }
+    if let Some(steps) = args.steps {
+        config.schedule.score_steps = steps / 4;
+        config.schedule.joint_steps = steps - steps / 4;
+    }
+    match args.modality.as_deref() {
+        Some("rgb") => config.network.modality = Modality::Rgb,
+        Some(_) => config.network.modality = Modality::Cloud,
+        None => {}
+    }
+    if args.no_adaptive {
+        config.adaptive.enabled = false;
+    }
+    config.validate()?;
+    Ok(config)
+}
+
+/// Collects what the configuration asks for, or the rest of it.
+fn collect(config: &TrainConfig, data: &Path, work: &Work, stop: &AtomicBool) -> anyhow::Result<()> {
+    let recipe = Recipe {
+        seed: Seed(config.seed).child("collect", 0),
+        trials: config.collect.trials,
+        guided: f64::from(config.collect.guided),
+        randomise: config.collect.randomise,
+        wide: config.collect.randomise,
+        ..Recipe::default()
+    };
+    let plan = Plan { resume: true, ..Plan::new(config.collect.scenes) };
+    let collector = Collector::new(data, recipe, plan)?;
+    let bar = work.bar(collector.scenes(), "collecting");
+    collector.run(stop, &|_, collected| {
+        bar.set_position(collected.scenes);
+        bar.set_message(format!("successes: {}", collected.tally.successes()));
+    })?;
+    bar.finish_and_clear();
+    Ok(())
+}
+
+/// New trials between epochs of the joint phase.
+fn explore(
+    config: &TrainConfig,
+    report: &EpochReport<'_>,
+    preparer: Option<&Preparer>,
+    dataset: &Dataset,
+    bar: &ProgressBar,
+) -> NewTrials {
+    let (Some(preparer), true, true) = (preparer, config.adaptive.enabled, report.joint) else {
+        return Vec::new();
+    };
+    let Ok(scenes) = dataset.scenes(where2act_train::Part::Train) else { return Vec::new() };
+    let seed = config.root_seed().child("adaptive", report.epoch as u64);
+    let done = AtomicUsize::new(0);
+    let count = config.adaptive.scenes.min(scenes.len());
+    let progress =
+        || bar.set_message(format!("exploring scene {}/{count}", 1 + done.fetch_add(1, Ordering::Relaxed)));
+    match adaptive::explore(report.network, preparer, dataset, &scenes, &config.adaptive, seed, &progress) {
+        Ok(trials) => {
+            let show = |policy| {
+                let (trials, successes) = adaptive::count(&trials, policy);
+                format!("{:.0} % of {trials}", 100.0 * successes as f64 / trials.max(1) as f64)
+            };
+            let (own, random) = (show(Policy::Adaptive), show(Policy::Random));
+            say(bar, &format!("online sampling: {own} own proposals and {random} random trials succeed"));
+            trials
+        }
+        Err(error) => {
+            tracing::warn!("no new trials: {error}");
+            Vec::new()
+        }
+    }
+}
+
+fn judge(
+    config: &TrainConfig,
+    weights: &Path,
+    args: &Args,
+    out: &Path,
+    stop: &AtomicBool,
+) -> anyhow::Result<()> {
+    let objects = ObjectSet::Procedural {
+        categories: where2act_sim::collect::categories_of(where2act_core::Split::Train),
+        seeds: ObjectSet::TEST_SEEDS,
+    };
+    let judged =
+        EvaluateConfig { informed: 60, ..EvaluateConfig::new(objects, args.episodes, Seed(config.seed)) };
+    args.work.judge(weights, &judged, stop, &out.join("evaluation.json"))
+}
+
+fn show(report: &StepReport) -> String {
+    let mut text = format!("loss {:.3}, score {:.3}", report.loss, report.score);
+    for (name, value) in
+        [("angle", report.geodesic), ("kl", report.kl), ("actionability", report.actionability)]
+    {
+        if let Some(value) = value {
+            text += &format!(", {name} {value:.3}");
+        }
+    }
+    text
+}
+
+/// Seconds by stage, summed.
+#[derive(Default)]
+struct Stages {
+    steps: usize,
+    secs: [f64; 4],
+}
+
+impl Stages {
+    fn add(&mut self, report: &StepReport) {
+        let s = report.secs;
+        self.steps += 1;
+        for (sum, new) in self.secs.iter_mut().zip([s.reading, s.forward, s.backward, s.optimiser]) {
+            *sum += new;
+        }
+    }
+
+    fn show(&self) -> String {
+        let total: f64 = self.secs.iter().sum();
+        let [reading, forward, backward, optimiser] = self.secs.map(|s| 100.0 * s / total.max(1e-9));
+        let step = total / self.steps.max(1) as f64;
+        format!(
+            "{step:.2} s a step: reading {reading:.1} %, forward {forward:.1} %, backward {backward:.1} %, \
+             optimiser {optimiser:.1} %"
+        )
+    }
+}
+
+/// Prints a line above the bar, or to a log where there is no terminal.
+fn say(bar: &ProgressBar, line: &str) {
+    if bar.is_hidden() {
+        tracing::info!("{line}");
+    } else {
+        bar.println(line);
+    }
+}

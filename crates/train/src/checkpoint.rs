@@ -1,0 +1,168 @@
+//! Where a run stands, on disk, so that it can go on exactly there.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use burn::module::Module;
+use burn::optim::ModuleOptimizer;
+use burn::store::ModuleRecord;
+use burn::tensor::Bytes;
+use serde::{Deserialize, Serialize};
+use where2act_core::sha256_hex;
+use where2act_model::Network;
+
+use crate::replay::Replay;
+
+/// What a checkpoint knows beside weights and optimiser.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// Steps done.
+    pub step: usize,
+    /// Best validation figure so far: mean average precision over primitives.
+    pub best: Option<f64>,
+    /// Seconds of training so far, over all interruptions.
+    pub secs: f64,
+    /// SHA-256 of the configuration and of the data's manifest.
+    pub fingerprint: String,
+}
+
+/// Where a run stands.
+#[derive(Clone)]
+pub struct State {
+    /// What is trained.
+    pub network: Network,
+    /// Adam and its moments.
+    pub optimiser: ModuleOptimizer,
+    /// Newer trials.
+    pub replay: Replay,
+    /// The rest.
+    pub progress: Progress,
+}
+
+/// A checkpoint that cannot be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// The file system said no.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// What it said.
+        source: std::io::Error,
+    },
+    /// It holds something else than this run needs.
+    #[error("{}: {why}", path.display())]
+    Damaged {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        why: String,
+    },
+}
+
+const NETWORK: &str = "network.bpk";
+const OPTIMISER: &str = "optimiser.bpk";
+const REPLAY: &str = "replay.cbor";
+const PROGRESS: &str = "progress.json";
+/// Begins the names of folders that are not, or no longer, whole.
+const PARTIAL: &str = ".partial-";
+/// Checkpoints that are kept: the newest may be the one that a power cut hits.
+const KEPT: usize = 2;
+
+/// Writes a checkpoint as `folder/step-00001234`, whole or not at all, and forgets all but the newest two.
+///
+/// # Errors
+/// [`CheckpointError::Io`].
+pub fn save(folder: &Path, state: &State) -> Result<PathBuf, CheckpointError> {
+    let path = folder.join(format!("step-{:08}", state.progress.step));
+    let io = |source| CheckpointError::Io { path: path.clone(), source };
+    let damaged = |why: String| CheckpointError::Damaged { path: path.clone(), why };
+    fs::create_dir_all(folder).map_err(io)?;
+    // What a killed run has left.
+    for entry in fs::read_dir(folder).map_err(io)? {
+        let left = entry.map_err(io)?;
+        if left.file_name().to_string_lossy().starts_with(PARTIAL) {
+            fs::remove_dir_all(left.path()).map_err(io)?;
+        }
+    }
+    let partial = tempfile::Builder::new().prefix(PARTIAL).tempdir_in(folder).map_err(io)?;
+    // Not a clone: burn keeps the last update of the running statistics apart from the parameters of a network that
+    // trains, and shares them between clones.
+    let network = state.network.valid().into_record().into_bytes().map_err(|e| damaged(e.to_string()))?;
+    let optimiser = state.optimiser.into_bytes().map_err(|e| damaged(e.to_string()))?;
+    write(&partial.path().join(NETWORK), &network).map_err(io)?;
+    write(&partial.path().join(OPTIMISER), &optimiser).map_err(io)?;
+    let mut replay = Vec::new();
+    ciborium::into_writer(&state.replay, &mut replay).map_err(|e| damaged(e.to_string()))?;
+    write(&partial.path().join(REPLAY), &replay).map_err(io)?;
+    let progress = serde_json::to_vec_pretty(&state.progress).map_err(|e| damaged(e.to_string()))?;
+    write(&partial.path().join(PROGRESS), &progress).map_err(io)?;
+    if path.exists() {
+        discard(&path).map_err(io)?;
+    }
+    fs::rename(partial.keep(), &path).map_err(io)?;
+    let all = list(folder).map_err(io)?;
+    for old in all.iter().rev().skip(KEPT) {
+        discard(old).map_err(io)?;
+    }
+    Ok(path)
+}
+
+/// Deletes a checkpoint so that half of one is never taken for a whole one.
+fn discard(path: &Path) -> std::io::Result<()> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let away = path.with_file_name(format!("{PARTIAL}{name}"));
+    fs::rename(path, &away)?;
+    fs::remove_dir_all(away)
+}
+
+fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    fs::write(path, bytes)?;
+    fs::File::open(path)?.sync_all()
+}
+
+/// Checkpoints of a run, the oldest first.
+///
+/// # Errors
+/// If the folder exists and cannot be listed.
+pub fn list(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
+    if !folder.is_dir() {
+        return Ok(Vec::new());
+    }
+    let mut found: Vec<PathBuf> = fs::read_dir(folder)?
+        .filter_map(|entry| entry.ok().map(|e| e.path()))
+        .filter(|p| p.file_name().and_then(|n| n.to_str()).is_some_and(|n| n.starts_with("step-")))
+        .collect();
+    found.sort();
+    Ok(found)
+}
+
+/// Reads a checkpoint into the state of a run that has not begun.
+///
+/// # Errors
+/// Any [`CheckpointError`].
+pub fn load(path: &Path, fresh: State) -> Result<State, CheckpointError> {
+    let read = |name: &str| {
+        let path = path.join(name);
+        fs::read(&path).map_err(|source| CheckpointError::Io { path, source })
+    };
+    let damaged = |name: &str, why: String| CheckpointError::Damaged { path: path.join(name), why };
+    let progress = serde_json::from_slice(&read(PROGRESS)?).map_err(|e| damaged(PROGRESS, e.to_string()))?;
+    let replay =
+        ciborium::from_reader(read(REPLAY)?.as_slice()).map_err(|e| damaged(REPLAY, e.to_string()))?;
+    let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(read(NETWORK)?))
+        .map_err(|e| damaged(NETWORK, e.to_string()))?;
+    let network = fresh.network.valid().try_load_record(record);
+    let network = network.map_err(|e| damaged(NETWORK, e.to_string()))?.train();
+    let optimiser = fresh
+        .optimiser
+        .from_bytes(Bytes::from_bytes_vec(read(OPTIMISER)?))
+        .map_err(|e| damaged(OPTIMISER, e.to_string()))?;
+    Ok(State { network, optimiser, replay, progress })
+}
+
+/// What must be the same for a run to be resumed: its configuration and its data.
+#[must_use]
+pub fn fingerprint(config: &str, manifest: &str) -> String {
+    sha256_hex(format!("{config}\0{manifest}").as_bytes())
+}

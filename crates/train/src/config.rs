@@ -1,0 +1,405 @@
+//! One validated description of a training run: a TOML file, with command-line flags over it.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use where2act_core::{Primitive, Seed};
+use where2act_model::{Modality, ModelConfig};
+
+/// Everything that decides the result of a training run. Saved beside the checkpoints; resuming with another one is
+/// refused.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Name of the run and of its weights.
+    pub name: String,
+    /// Everything random derives from it.
+    #[serde(default)]
+    pub seed: u64,
+    /// Weights to start from instead of random ones: the folder of a network of the same shape, e.g. `weights/cloud`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from: Option<PathBuf>,
+    /// The network.
+    pub network: NetworkConfig,
+    /// What one step sees.
+    #[serde(default)]
+    pub batch: BatchConfig,
+    /// How long, and how fast the rate falls.
+    pub schedule: ScheduleConfig,
+    /// Weights of the losses.
+    #[serde(default)]
+    pub loss: LossConfig,
+    /// New trials where the network is confident.
+    #[serde(default)]
+    pub adaptive: AdaptiveConfig,
+    /// What to collect if there is no data.
+    #[serde(default)]
+    pub collect: CollectConfig,
+}
+
+/// The network to train.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Pictures or scans.
+    pub modality: Modality,
+    /// One output of each head for every one of these.
+    #[serde(default = "all_primitives")]
+    pub primitives: Vec<Primitive>,
+    /// Width of the U-Net; 1 is the paper's.
+    #[serde(default = "one")]
+    pub width: f32,
+    /// Hidden units of each head; the paper's is 128.
+    #[serde(default = "published_hidden")]
+    pub hidden: usize,
+    /// Numbers of the proposals' random code; the paper's is 10.
+    #[serde(default = "published_latent")]
+    pub latent: usize,
+    /// Points of a scan; the paper's is 10,000.
+    #[serde(default = "published_points")]
+    pub points: usize,
+    /// Random foreground points that furthest point sampling chooses from; the paper's is 30,000. No more than `points`
+    /// means plain random sampling, which is faster and follows the scanner's own density.
+    #[serde(default = "published_candidates")]
+    pub candidates: usize,
+    /// Whether every point of a scan is also described by what is right around it among the candidates. Not in the
+    /// paper.
+    #[serde(default)]
+    pub surroundings: bool,
+}
+
+/// What one step sees.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BatchConfig {
+    /// Views of a step.
+    pub views: usize,
+    /// Trials of a view at most; successes and failures of each primitive half and half as far as they last.
+    pub trials_per_view: usize,
+    /// Free negatives per trial: the same trial with the approach flipped cannot succeed. The paper adds one each.
+    pub flipped: f32,
+    /// Free negatives per trial: the same orientation at a random place of a part that does not move. 0 leaves fixed
+    /// parts out altogether, as the paper does.
+    pub fixed: f32,
+    /// Share of the views that are shown mirrored.
+    pub mirrored: f32,
+    /// Whether hands that push or pull are turned half round about their approach at random, which changes nothing.
+    pub half_turns: bool,
+    /// Further places of a view at which only actionability is learnt.
+    pub places_per_view: usize,
+}
+
+/// How long, and how fast the rate falls.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScheduleConfig {
+    /// Steps in which backbone and score head learn alone.
+    pub score_steps: usize,
+    /// Steps in which all heads learn.
+    pub joint_steps: usize,
+    /// Steps of one epoch: after each one comes validation, a checkpoint and, if enabled, adaptive sampling.
+    pub epoch_steps: usize,
+    /// Learning rate of Adam at the start.
+    #[serde(default = "published_rate")]
+    pub rate: f64,
+    /// Decay of the weights towards zero.
+    #[serde(default = "published_weight_decay")]
+    pub weight_decay: f32,
+    /// How the rate falls.
+    #[serde(default)]
+    pub decay: Decay,
+}
+
+/// How the learning rate falls.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "lowercase")]
+pub enum Decay {
+    /// Multiplied by `factor` every `steps` steps. The paper's: 0.9 every 5,000.
+    Step {
+        /// Steps between two falls.
+        steps: usize,
+        /// Multiplied with the rate.
+        factor: f64,
+    },
+    /// Half a cosine from the full rate to a hundredth at the last step.
+    Cosine,
+}
+
+/// Weights of the losses.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LossConfig {
+    /// Binary cross-entropy of the score.
+    pub score: f32,
+    /// Angle between a proposal and the successful orientation it should reconstruct.
+    pub geodesic: f32,
+    /// Divergence of the proposal's code from the normal distribution.
+    pub kl: f32,
+    /// Squared error of the actionability.
+    pub actionability: f32,
+    /// Proposals whose scores make the actionability's target.
+    pub proposals: usize,
+    /// How many of the best of them are averaged; 0 = all (the paper), 5 = the follow-up's rule.
+    pub best: usize,
+}
+
+/// New trials where the network is confident, between epochs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AdaptiveConfig {
+    /// Whether to do it.
+    pub enabled: bool,
+    /// Train scenes that get new trials after each epoch of the joint phase.
+    pub scenes: usize,
+    /// New trials on each of them, half where the network is confident, half random.
+    pub trials: usize,
+    /// Trials of the replay buffer; older ones are forgotten first. The paper's: 10,000.
+    pub buffer: usize,
+}
+
+/// What to collect if there is no data.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CollectConfig {
+    /// Scenes.
+    pub scenes: u64,
+    /// Trials on each.
+    pub trials: usize,
+    /// Share of guided trials; the paper has none.
+    pub guided: f32,
+    /// Random lights, materials, backgrounds and cameras.
+    pub randomise: bool,
+}
+
+impl Default for BatchConfig {
+    fn default() -> Self {
+        Self {
+            views: 8,
+            trials_per_view: 48,
+            flipped: 0.25,
+            fixed: 0.0,
+            mirrored: 0.0,
+            half_turns: false,
+            places_per_view: 16,
+        }
+    }
+}
+
+impl Default for Decay {
+    fn default() -> Self {
+        Self::Step { steps: 5000, factor: 0.9 }
+    }
+}
+
+impl Default for LossConfig {
+    fn default() -> Self {
+        Self { score: 1.0, geodesic: 5.0, kl: 0.02, actionability: 100.0, proposals: 100, best: 0 }
+    }
+}
+
+impl Default for AdaptiveConfig {
+    fn default() -> Self {
+        Self { enabled: false, scenes: 64, trials: 24, buffer: 10_000 }
+    }
+}
+
+impl Default for CollectConfig {
+    fn default() -> Self {
+        Self { scenes: 160, trials: 48, guided: 0.6, randomise: false }
+    }
+}
+
+fn all_primitives() -> Vec<Primitive> {
+    Primitive::ALL.to_vec()
+}
+fn one() -> f32 {
+    1.0
+}
+fn published_hidden() -> usize {
+    128
+}
+fn published_latent() -> usize {
+    10
+}
+fn published_points() -> usize {
+    10_000
+}
+fn published_candidates() -> usize {
+    30_000
+}
+fn published_rate() -> f64 {
+    1e-3
+}
+fn published_weight_decay() -> f32 {
+    1e-5
+}
+
+/// A configuration that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// It cannot be read.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// It is not TOML, or has unknown or missing fields.
+    #[error("{}: {why}", path.display())]
+    Syntax {
+        /// Which file.
+        path: PathBuf,
+        /// Where and why.
+        why: String,
+    },
+    /// A value makes no sense.
+    #[error("configuration: {field} is {found}, expected {expected}")]
+    Value {
+        /// Which field.
+        field: &'static str,
+        /// What it is.
+        found: String,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// The network's part makes no sense.
+    #[error(transparent)]
+    Network(#[from] where2act_model::ConfigError),
+}
+
+impl TrainConfig {
+    /// Reads and checks a TOML file.
+    ///
+    /// # Errors
+    /// Any [`ConfigError`].
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|source| ConfigError::Io { path: path.to_owned(), source })?;
+        let config: Self = toml::from_str(&text).map_err(|e| ConfigError::Syntax {
+            path: path.to_owned(),
+            why: e.to_string().split_whitespace().collect::<Vec<_>>().join(" "),
+        })?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// All steps.
+    #[must_use]
+    pub fn steps(&self) -> usize {
+        self.schedule.score_steps + self.schedule.joint_steps
+    }
+
+    /// The root of the run's randomness.
+    #[must_use]
+    pub fn root_seed(&self) -> Seed {
+        Seed(self.seed)
+    }
+
+    /// The network's own description.
+    #[must_use]
+    pub fn model(&self) -> ModelConfig {
+        let n = &self.network;
+        let mut model = ModelConfig::new(n.modality, &n.primitives).with_width(n.width).with_points(n.points);
+        model.name.clone_from(&self.name);
+        model.hidden = n.hidden;
+        model.latent = n.latent;
+        model.surroundings = n.surroundings && n.modality == Modality::Cloud;
+        model.preprocessing.scan_candidates = n.candidates;
+        model
+    }
+
+    /// Learning rate of a step.
+    #[must_use]
+    pub fn rate(&self, step: usize) -> f64 {
+        let schedule = &self.schedule;
+        match schedule.decay {
+            Decay::Step { steps, factor } => schedule.rate * factor.powi((step / steps.max(1)) as i32),
+            Decay::Cosine => {
+                let done = step as f64 / self.steps().max(1) as f64;
+                let share = 0.5 * (1.0 + (std::f64::consts::PI * done).cos());
+                schedule.rate * (0.01 + 0.99 * share)
+            }
+        }
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] for the first that makes no sense.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        let check = |ok: bool, field, found: String, expected| {
+            if ok { Ok(()) } else { Err(ConfigError::Value { field, found, expected }) }
+        };
+        self.model().validate()?;
+        let (batch, schedule) = (&self.batch, &self.schedule);
+        check(!self.name.is_empty(), "name", format!("{:?}", self.name), "at least one letter")?;
+        check((1..=1024).contains(&batch.views), "batch.views", batch.views.to_string(), "1 to 1024")?;
+        let trials = batch.trials_per_view;
+        check((1..=100_000).contains(&trials), "batch.trials_per_view", trials.to_string(), "1 to 100000")?;
+        check((0.0..=10.0).contains(&batch.flipped), "batch.flipped", batch.flipped.to_string(), "0 to 10")?;
+        check((0.0..=10.0).contains(&batch.fixed), "batch.fixed", batch.fixed.to_string(), "0 to 10")?;
+        let mirrored = batch.mirrored;
+        check((0.0..=1.0).contains(&mirrored), "batch.mirrored", mirrored.to_string(), "0 to 1")?;
+        check(self.steps() > 0, "schedule", "0 steps".to_owned(), "at least one step")?;
+        check(schedule.epoch_steps > 0, "schedule.epoch_steps", "0".to_owned(), "at least 1")?;
+        let rate = schedule.rate;
+        check(rate > 0.0 && rate < 1.0, "schedule.rate", rate.to_string(), "more than 0 and less than 1")?;
+        let loss = &self.loss;
+        for (field, weight) in [
+            ("loss.score", loss.score),
+            ("loss.geodesic", loss.geodesic),
+            ("loss.kl", loss.kl),
+            ("loss.actionability", loss.actionability),
+        ] {
+            check(weight >= 0.0 && weight.is_finite(), field, weight.to_string(), "0 or more")?;
+        }
+        check(
+            (1..=10_000).contains(&loss.proposals),
+            "loss.proposals",
+            loss.proposals.to_string(),
+            "1 to 10000",
+        )?;
+        check(loss.best <= loss.proposals, "loss.best", loss.best.to_string(), "at most loss.proposals")?;
+        let guided = self.collect.guided;
+        check((0.0..=1.0).contains(&guided), "collect.guided", guided.to_string(), "0 to 1")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn minimal() -> String {
+        "name = 'test'\n[network]\nmodality = 'cloud'\n[schedule]\nscore_steps = 10\njoint_steps = 30\nepoch_steps = 5\n"
+            .to_owned()
+    }
+
+    fn load(text: &str) -> Result<TrainConfig, ConfigError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.toml");
+        std::fs::write(&path, text).unwrap();
+        TrainConfig::load(&path)
+    }
+
+    #[test]
+    fn defaults_are_the_published_numbers() {
+        let config = load(&minimal()).unwrap();
+        assert_eq!(config.network.points, 10_000);
+        assert!((config.rate(0) - 1e-3).abs() < 1e-12 && (config.rate(5000) - 9e-4).abs() < 1e-12);
+        assert_eq!(toml::from_str::<TrainConfig>(&toml::to_string(&config).unwrap()).unwrap(), config);
+    }
+
+    #[test]
+    fn a_wrong_value_or_an_unknown_field_is_named() {
+        for (extra, named) in [
+            ("[batch]\nviews = 0\n", "batch.views"),
+            ("[batch]\nvievs = 3\n", "vievs"),
+            ("[loss]\nkl = -1.0\n", "loss.kl"),
+            ("[collect]\nguided = 2.0\n", "collect.guided"),
+        ] {
+            let error = load(&(minimal() + extra)).unwrap_err().to_string();
+            assert!(error.contains(named) && !error.contains('\n'), "{error}");
+        }
+    }
+}

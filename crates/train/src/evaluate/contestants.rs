@@ -1,0 +1,122 @@
+//! Who tries: the network, and the baselines it is compared with.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use where2act_core::{Policy, Primitive, Proposal, Seed, Trial};
+use where2act_infer::{Error, Options, Predictor};
+use where2act_sim::Mode;
+use where2act_sim::collect::ScenePrep;
+use where2act_sim::sampling::{Candidate, Sampler};
+
+/// Who tries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Contestant {
+    /// The network's best proposal.
+    TopOne,
+    /// The network's best few proposals, each at a pixel of its own.
+    TopK,
+    /// Uniform pixel of the movable parts, uniform orientation in the hemisphere against the normal.
+    Random,
+    /// Uniform pixel of the movable parts, approach against the normal, any turn around it.
+    AlongNormal,
+    /// The guided sampling policy, which knows the geometry and the joint: what is to be had.
+    Informed,
+}
+
+impl Contestant {
+    /// All of them, as tables list them.
+    pub const ALL: [Contestant; 5] =
+        [Self::TopOne, Self::TopK, Self::Random, Self::AlongNormal, Self::Informed];
+
+    /// Name in tables.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::TopOne => "top-1",
+            Self::TopK => "top-k",
+            Self::Random => "random",
+            Self::AlongNormal => "along normal",
+            Self::Informed => "knows the joint",
+        }
+    }
+}
+
+/// Runs one candidate in the fast mode.
+pub(super) fn run(prep: &ScenePrep, primitive: Primitive, policy: Policy, candidate: &Candidate) -> Trial {
+    prep.run(primitive, policy, candidate, Mode::Fast)
+}
+
+/// The network's `count` best proposals at pixels of movable parts, best first, for each of its primitives.
+pub(crate) fn proposals(
+    predictor: &Predictor,
+    prep: &ScenePrep,
+    sampler: &Sampler<'_>,
+    count: usize,
+    seed: Seed,
+) -> Result<Vec<Vec<Candidate>>, Error> {
+    let options = Options {
+        top_k: count,
+        seed,
+        region: Some(prep.view.link.iter().map(|&link| link > 1).collect()),
+        network_from_metres: Some(1.0),
+        ..Options::default()
+    };
+    let prediction = predictor.predict(&prep.view.observation(), &options)?;
+    let in_world = |direction: [f32; 3]| prep.view.camera.world_from_camera * Vector3::from(direction);
+    let candidate = |p: &Proposal| sampler.at(p.pixel, in_world(p.approach), in_world(p.forward));
+    let of_primitives = prediction.primitives.iter();
+    Ok(of_primitives.map(|of| of.proposals.iter().filter_map(candidate).collect()).collect())
+}
+
+pub(super) fn random(
+    prep: &ScenePrep,
+    sampler: &Sampler<'_>,
+    primitive: Primitive,
+    count: usize,
+    seed: Seed,
+) -> Vec<Trial> {
+    let one = |n: usize| {
+        let candidate = sampler.random(&mut seed.child("random", n as u64).rng());
+        run(prep, primitive, Policy::Random, &candidate)
+    };
+    (0..count).into_par_iter().map(one).collect()
+}
+
+pub(super) fn along_normal(
+    prep: &ScenePrep,
+    sampler: &Sampler<'_>,
+    primitive: Primitive,
+    count: usize,
+    seed: Seed,
+) -> Vec<bool> {
+    let one = |n: usize| {
+        let random = sampler.random(&mut seed.child("normal", n as u64).rng());
+        let forward = random.grasp_in_world.forward();
+        let candidate = sampler.at(random.pixel, -random.normal_in_world, forward).unwrap_or(random);
+        run(prep, primitive, Policy::Random, &candidate).verdict.success
+    };
+    (0..count).into_par_iter().map(one).collect()
+}
+
+/// Trials that know the joint, until one of a handful succeeds.
+pub(super) fn informed(
+    prep: &ScenePrep,
+    sampler: &Sampler<'_>,
+    primitive: Primitive,
+    most: usize,
+    seed: Seed,
+) -> Vec<bool> {
+    const AT_ONCE: usize = 8;
+    let one = |n: usize| {
+        let candidate = sampler.guided(primitive, &mut seed.child("informed", n as u64).rng());
+        run(prep, primitive, Policy::Guided, &candidate).verdict.success
+    };
+    let mut outcomes = Vec::new();
+    while outcomes.len() < most && !outcomes.contains(&true) {
+        let next = outcomes.len()..(outcomes.len() + AT_ONCE).min(most);
+        outcomes.extend(next.into_par_iter().map(one).collect::<Vec<_>>());
+    }
+    outcomes
+}

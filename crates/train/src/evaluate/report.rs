@@ -1,0 +1,190 @@
+//! What judging found, as JSON and as a table.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+use where2act_infer::Predictor;
+
+use super::{Contestant, EvaluateConfig, PrimitiveResult, SceneResult, names};
+use crate::metrics::{Rate, Reliability, ScoreMetrics, reliability};
+
+/// Everything that judging found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Name of the weights.
+    pub model: String,
+    /// SHA-256 of `model.safetensors`.
+    pub sha256: String,
+    /// What it was judged on.
+    pub config: EvaluateConfig,
+    /// How pixels and proposals were picked, in words.
+    pub rule: String,
+    /// Over all scenes.
+    pub total: Judgement,
+    /// By category, for objects that have one.
+    pub categories: BTreeMap<String, Judgement>,
+    /// By object.
+    pub objects: BTreeMap<String, Judgement>,
+}
+
+/// Results over some scenes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Judgement {
+    /// Scenes.
+    pub scenes: u64,
+    /// One row per primitive.
+    pub rows: Vec<Row>,
+}
+
+/// One primitive's results.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Which primitive.
+    pub primitive: String,
+    /// Scenes in which a trial that knows the joint succeeded; only they count for the rates.
+    pub possible_scenes: u64,
+    /// Success rate of each contestant, in the order of [`Contestant::ALL`].
+    pub rates: Vec<(Contestant, Rate)>,
+    /// The score on random trials in all scenes, possible or not.
+    pub score: ScoreMetrics,
+    /// How far the score can be taken for a probability.
+    pub reliability: Vec<Reliability>,
+    /// Mean distance between score and outcome.
+    pub calibration_error: f64,
+}
+
+impl Report {
+    pub(super) fn new(predictor: &Predictor, config: &EvaluateConfig, scenes: &[SceneResult]) -> Self {
+        let primitives = names(&predictor.config().primitives);
+        let judge = |wanted: &dyn Fn(&SceneResult) -> bool| {
+            let mine: Vec<_> = scenes.iter().filter(|scene| wanted(scene)).collect();
+            Judgement::new(&primitives, &mine)
+        };
+        let named = |key: &dyn Fn(&SceneResult) -> Option<String>| -> BTreeMap<String, Judgement> {
+            let mut keys: Vec<String> = scenes.iter().filter_map(key).collect();
+            keys.sort();
+            keys.dedup();
+            keys.into_iter().map(|k| (k.clone(), judge(&|scene| key(scene).as_ref() == Some(&k)))).collect()
+        };
+        Self {
+            model: predictor.model().name.clone(),
+            sha256: predictor.model().sha256.clone(),
+            config: config.clone(),
+            rule: format!(
+                "Candidates are the 32 most actionable pixels of movable parts that keep a distance; 100 proposals at \
+                 each; the best-scored one per pixel. Top-1 is the best of them, top-k the best {} (one per pixel). \
+                 Executed in the fast mode of the simulator. Scenes in which {} trials that know the joint do not \
+                 succeed with a primitive do not count for it.",
+                config.proposals, config.informed
+            ),
+            total: judge(&|_| true),
+            categories: named(&|scene| scene.category.map(|c| c.to_string())),
+            objects: named(&|scene| Some(scene.object.clone())),
+        }
+    }
+
+    /// The report as Markdown.
+    #[must_use]
+    pub fn to_markdown(&self) -> String {
+        let mut text = format!(
+            "Weights `{}` ({}), {} scenes, seed {}.\n\nSuccess rate of executed proposals, 95 % intervals. {}\n\n",
+            self.model,
+            self.sha256.get(..12).unwrap_or(&self.sha256),
+            self.total.scenes,
+            self.config.seed.0,
+            self.rule
+        );
+        text += "| primitive | scenes |";
+        for contestant in Contestant::ALL {
+            let _ = write!(text, " {} |", contestant.name());
+        }
+        text += "\n| --- | --- | --- | --- | --- | --- | --- |\n";
+        for row in &self.total.rows {
+            let _ = write!(text, "| {} | {} |", row.primitive, row.possible_scenes);
+            for (_, rate) in &row.rates {
+                let _ = write!(text, " {} |", rate.show());
+            }
+            text += "\n";
+        }
+        text += "\nThe score on random trials (threshold 0.5):\n\n";
+        text += "| primitive | trials | successes | F-score | precision | recall | average precision | calibration error |\n";
+        text += "| --- | --- | --- | --- | --- | --- | --- | --- |\n";
+        for Row { primitive, score: s, calibration_error, .. } in &self.total.rows {
+            let _ = writeln!(
+                text,
+                "| {primitive} | {} | {} | {:.3} | {:.3} | {:.3} | {:.3} | {calibration_error:.3} |",
+                s.trials, s.successes, s.f_score, s.precision, s.recall, s.average_precision
+            );
+        }
+        text += "\nTop-1 by category:\n\n| category | scenes |";
+        for row in &self.total.rows {
+            let _ = write!(text, " {} |", row.primitive);
+        }
+        text += "\n| --- | --- |";
+        text += &" --- |".repeat(self.total.rows.len());
+        text += "\n";
+        for (category, judgement) in &self.categories {
+            let _ = write!(text, "| {category} | {} |", judgement.scenes);
+            for row in &judgement.rows {
+                let top = row.rates.first().map(|(_, rate)| *rate).unwrap_or_default();
+                let cell =
+                    if top.tries == 0 { "-".to_owned() } else { format!("{}/{}", top.successes, top.tries) };
+                let _ = write!(text, " {cell} |");
+            }
+            text += "\n";
+        }
+        text
+    }
+}
+
+impl Judgement {
+    fn new(primitives: &[String], scenes: &[&SceneResult]) -> Self {
+        let rows = primitives.iter().enumerate().map(|(p, primitive)| {
+            let results: Vec<&PrimitiveResult> = scenes.iter().map(|scene| &scene.primitives[p]).collect();
+            row(primitive, &results)
+        });
+        Self { scenes: scenes.len() as u64, rows: rows.collect() }
+    }
+}
+
+fn row(primitive: &str, results: &[&PrimitiveResult]) -> Row {
+    let possible: Vec<_> = results.iter().filter(|r| r.possible).collect();
+    let rate = |contestant: Contestant| {
+        let outcomes: Vec<bool> = possible
+            .iter()
+            .flat_map(|r| {
+                r.trials.iter().filter(|(c, _)| *c == contestant).flat_map(|(_, o)| o.iter().copied())
+            })
+            .collect();
+        Rate::new(outcomes.iter().filter(|o| **o).count() as u64, outcomes.len() as u64)
+    };
+    let scored: Vec<(f32, bool)> = results.iter().flat_map(|r| r.scored.iter().copied()).collect();
+    let (rows, calibration_error) = reliability(&scored);
+    Row {
+        primitive: primitive.to_owned(),
+        possible_scenes: possible.len() as u64,
+        rates: Contestant::ALL.map(|c| (c, rate(c))).to_vec(),
+        score: ScoreMetrics::new(&scored),
+        reliability: rows,
+        calibration_error,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn impossible_scenes_do_not_count_for_rates_but_for_the_score() {
+        let scene = |possible: bool, success: bool| PrimitiveResult {
+            possible,
+            trials: vec![(Contestant::TopOne, vec![success])],
+            scored: vec![(0.9, success)],
+        };
+        let (a, b, c) = (scene(true, true), scene(true, false), scene(false, false));
+        let row = row("pushing", &[&a, &b, &c]);
+        assert_eq!((row.possible_scenes, row.rates[0].1.successes, row.rates[0].1.tries), (2, 1, 2));
+        assert_eq!(row.score.trials, 3);
+    }
+}

@@ -1,0 +1,34 @@
+//! Shards in, weights and honest numbers out.
+//!
+//! | step | where |
+//! | --- | --- |
+//! | which objects may be trained on | [`Part`] |
+//! | shards, memory-mapped | [`Dataset`] |
+//! | what a step sees | [`batch`] |
+//! | losses, gradients, Adam | [`step`] |
+//! | the whole run: epochs, validation, checkpoints | [`run`] |
+//! | numbers: metrics, intervals, executed proposals | [`metrics`], [`evaluate`] |
+
+pub mod adaptive;
+pub mod batch;
+pub mod checkpoint;
+mod config;
+mod curves;
+mod dataset;
+pub mod evaluate;
+pub mod metrics;
+mod questions;
+mod replay;
+pub mod run;
+mod split;
+pub mod step;
+mod validate;
+
+pub use config::{
+    AdaptiveConfig, BatchConfig, CollectConfig, ConfigError, Decay, LossConfig, NetworkConfig,
+    ScheduleConfig, TrainConfig,
+};
+pub use dataset::{Counts, DataError, Dataset, SceneId};
+pub use replay::Replay;
+pub use split::Part;
+pub use validate::{Validation, score_record, validate};

@@ -1,0 +1,207 @@
+//! How good scores are: threshold metrics, ranking, calibration, and intervals for rates.
+
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal};
+
+/// Share of successes with a 95 % Wilson interval (Wilson, 1927), which stays sensible for few trials and for rates
+/// near 0 and 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Rate {
+    /// Successes.
+    pub successes: u64,
+    /// Tries.
+    pub tries: u64,
+    /// Successes / tries; 0 without tries.
+    pub rate: f64,
+    /// Lower end of the interval.
+    pub low: f64,
+    /// Upper end of the interval.
+    pub high: f64,
+}
+
+impl Rate {
+    /// From counts.
+    #[must_use]
+    pub fn new(successes: u64, tries: u64) -> Self {
+        if tries == 0 {
+            return Self { successes, tries, rate: 0.0, low: 0.0, high: 1.0 };
+        }
+        let z = Normal::standard().inverse_cdf(0.975);
+        let (n, p) = (tries as f64, successes as f64 / tries as f64);
+        let centre = (p + z * z / (2.0 * n)) / (1.0 + z * z / n);
+        let half = z / (1.0 + z * z / n) * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt();
+        Self { successes, tries, rate: p, low: (centre - half).max(0.0), high: (centre + half).min(1.0) }
+    }
+
+    /// `62.5 % (48.1-75.0, 25/40)`.
+    #[must_use]
+    pub fn show(&self) -> String {
+        if self.tries == 0 {
+            return "-".to_owned();
+        }
+        let Self { successes, tries, rate, low, high } = self;
+        format!("{:.1} % ({:.1}-{:.1}, {successes}/{tries})", 100.0 * rate, 100.0 * low, 100.0 * high)
+    }
+}
+
+/// Metrics of predicted scores against outcomes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ScoreMetrics {
+    /// Number of trials.
+    pub trials: u64,
+    /// Number of successes among them.
+    pub successes: u64,
+    /// Of those called successes, the share that are. 0 if none was called so.
+    pub precision: f64,
+    /// Of the successes, the share called so.
+    pub recall: f64,
+    /// Harmonic mean of the two: the published F-score, at threshold 0.5.
+    pub f_score: f64,
+    /// Area under the precision-recall curve as a step function, independent of any threshold.
+    pub average_precision: f64,
+    /// The threshold with the best F-score on these trials, and that score: what calibration could gain.
+    pub best_f_score: f64,
+    /// Where it is reached.
+    pub best_threshold: f64,
+}
+
+impl ScoreMetrics {
+    /// Threshold of the published F-score.
+    pub const THRESHOLD: f32 = 0.5;
+
+    /// From (score, outcome) pairs; scores in [0, 1].
+    #[must_use]
+    pub fn new(scored: &[(f32, bool)]) -> Self {
+        let successes = scored.iter().filter(|(_, y)| *y).count();
+        let called = |t: f32| scored.iter().filter(|(s, _)| *s > t).count();
+        let hits = |t: f32| scored.iter().filter(|(s, y)| *s > t && *y).count();
+        let share = |part: usize, whole: usize| if whole == 0 { 0.0 } else { part as f64 / whole as f64 };
+        let (called, hits) = (called(Self::THRESHOLD), hits(Self::THRESHOLD));
+        let (average_precision, best_f_score, best_threshold) = ranking(scored, successes);
+        Self {
+            trials: scored.len() as u64,
+            successes: successes as u64,
+            precision: share(hits, called),
+            recall: share(hits, successes),
+            f_score: share(2 * hits, called + successes),
+            average_precision,
+            best_f_score,
+            best_threshold,
+        }
+    }
+}
+
+/// Average precision, best F-score and its threshold, over all distinct scores as thresholds.
+fn ranking(scored: &[(f32, bool)], successes: usize) -> (f64, f64, f64) {
+    let mut sorted: Vec<_> = scored.to_vec();
+    sorted.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let (mut hits, mut seen, mut recall_before, mut area) = (0usize, 0usize, 0.0, 0.0);
+    let mut best = (0.0, 1.0);
+    for tie in sorted.chunk_by(|a, b| a.0 == b.0) {
+        hits += tie.iter().filter(|(_, y)| *y).count();
+        seen += tie.len();
+        let (precision, recall) = (hits as f64 / seen as f64, hits as f64 / successes.max(1) as f64);
+        area += (recall - recall_before) * precision;
+        recall_before = recall;
+        let f = 2.0 * hits as f64 / (seen + successes) as f64;
+        if f > best.0 {
+            best = (f, f64::from(tie[0].0));
+        }
+    }
+    (area, best.0, best.1)
+}
+
+/// One row of a reliability table: trials whose score fell into a tenth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Reliability {
+    /// Lower end of the tenth.
+    pub from: f64,
+    /// Mean score of its trials; 0 if there are none.
+    pub mean_score: f64,
+    /// What happened.
+    pub outcome: Rate,
+}
+
+/// Ten rows, scores 0.0-0.1 to 0.9-1.0, and the expected calibration error: the mean distance between score and
+/// outcome, weighted by trials.
+#[must_use]
+pub fn reliability(scored: &[(f32, bool)]) -> (Vec<Reliability>, f64) {
+    let tenth = |score: f32| ((score * 10.0) as usize).min(9);
+    let rows: Vec<Reliability> = (0..10)
+        .map(|row| {
+            let mine: Vec<_> = scored.iter().filter(|(s, _)| tenth(*s) == row).collect();
+            let mean = mine.iter().map(|(s, _)| f64::from(*s)).sum::<f64>() / mine.len().max(1) as f64;
+            let outcome = Rate::new(mine.iter().filter(|(_, y)| *y).count() as u64, mine.len() as u64);
+            Reliability { from: row as f64 / 10.0, mean_score: mean, outcome }
+        })
+        .collect();
+    let total = scored.len().max(1) as f64;
+    let error =
+        rows.iter().map(|r| r.outcome.tries as f64 / total * (r.mean_score - r.outcome.rate).abs()).sum();
+    (rows, error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sixteen trials with ties.
+    const SCORED: [(f32, bool); 16] = [
+        (0.95, true),
+        (0.9, true),
+        (0.9, false),
+        (0.8, true),
+        (0.75, false),
+        (0.7, true),
+        (0.6, true),
+        (0.55, false),
+        (0.5, true),
+        (0.45, false),
+        (0.4, false),
+        (0.3, true),
+        (0.3, false),
+        (0.2, false),
+        (0.1, false),
+        (0.05, false),
+    ];
+
+    /// Expected values from scikit-learn 1.9.1: precision_recall_fscore_support(y, s > 0.5, average="binary") and
+    /// average_precision_score(y, s).
+    #[test]
+    fn metrics_equal_scikit_learn() {
+        let m = ScoreMetrics::new(&SCORED);
+        assert!((m.precision - 0.625).abs() < 1e-9, "{m:?}");
+        assert!((m.recall - 0.714_285_714_285_714_3).abs() < 1e-9, "{m:?}");
+        assert!((m.f_score - 0.666_666_666_666_666_6).abs() < 1e-9, "{m:?}");
+        assert!((m.average_precision - 0.714_678_178_963_893_2).abs() < 1e-9, "{m:?}");
+        assert!(m.best_f_score >= m.f_score);
+    }
+
+    /// Expected values from statsmodels 0.15.0: proportion_confint(k, n, method="wilson").
+    #[test]
+    fn intervals_equal_statsmodels() {
+        for (k, n, low, high) in [
+            (0, 10, 0.0, 0.277_532_799_862_889_26),
+            (5, 10, 0.236_593_090_512_563_94, 0.763_406_909_487_436_1),
+            (97, 100, 0.915_480_635_709_472_4, 0.9897454759759611),
+            (25, 40, 0.470_324_391_373_010_96, 0.757_770_208_327_673_1),
+        ] {
+            let r = Rate::new(k, n);
+            assert!((r.low - low).abs() < 1e-9 && (r.high - high).abs() < 1e-9, "{r:?}");
+        }
+        assert_eq!(Rate::new(0, 0).high, 1.0);
+    }
+
+    #[test]
+    fn nothing_to_judge_gives_zeros_not_nan() {
+        let m = ScoreMetrics::new(&[]);
+        assert_eq!((m.precision, m.recall, m.f_score, m.average_precision), (0.0, 0.0, 0.0, 0.0));
+        assert_eq!(reliability(&[]).1, 0.0);
+    }
+
+    #[test]
+    fn a_calibrated_score_has_no_calibration_error() {
+        let scored: Vec<_> = (0..100).map(|i| (0.25, i % 4 == 0)).collect();
+        assert!(reliability(&scored).1 < 1e-9);
+    }
+}

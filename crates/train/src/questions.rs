@@ -1,0 +1,178 @@
+//! What a view asks the network: trials with known outcomes, and questions whose answer is known without a trial.
+
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use where2act_core::shard::DEPTH_SIDE;
+use where2act_core::{Orientation6, Pixel, Policy, Primitive, Trial};
+use where2act_model::ModelConfig;
+
+use crate::config::BatchConfig;
+
+/// Would this orientation at this pixel have success?
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Question {
+    /// Pixel of the stored depth map.
+    pub(crate) pixel: Pixel,
+    /// Output of the heads.
+    pub(crate) output: usize,
+    pub(crate) primitive: Primitive,
+    /// `[approach, forward]` in the camera frame.
+    pub(crate) orientation: [f32; 6],
+    pub(crate) success: bool,
+}
+
+impl Question {
+    fn of(trial: &Trial, output: usize) -> Self {
+        let orientation = Orientation6::from_rotation(&trial.grasp_in_camera.rotation).0;
+        let (pixel, primitive, success) = (trial.pixel, trial.primitive, trial.verdict.success);
+        Self { pixel, output, primitive, orientation, success }
+    }
+
+    /// The question about the scene as a mirror shows it, left and right swapped; its pixel stays that of the unmirrored
+    /// view. The hand is its own mirror image in both planes along its approach, so the mirrored hand is a hand again:
+    /// for *-up with its forward axis turned round, because a mirror that keeps up and approach swaps the third.
+    pub(crate) fn mirror(&mut self) {
+        let [ax, ay, az, fx, fy, fz] = self.orientation;
+        let turn =
+            if matches!(self.primitive, Primitive::PushingUp | Primitive::PullingUp) { -1.0 } else { 1.0 };
+        self.orientation = [-ax, ay, az, turn * -fx, turn * fy, turn * fz];
+    }
+
+    /// The hand turned half round about its approach. For pushing and pulling the motion is the same.
+    fn half_turn(&mut self) {
+        if matches!(self.primitive, Primitive::Pushing | Primitive::Pulling) {
+            self.orientation[3..].iter_mut().for_each(|x| *x = -*x);
+        }
+    }
+}
+
+/// Successes and failures of each primitive, half and half as far as they last, and free negatives: the approach
+/// flipped out of the surface, or the same orientation somewhere on a part that does not move. Trials that the network
+/// itself proposed come first, because they show where it is wrong.
+pub(crate) fn choose(
+    trials: &[Trial],
+    fixed: &[u32],
+    model: &ModelConfig,
+    config: &BatchConfig,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Question> {
+    let quota = (config.trials_per_view / (2 * model.primitives.len())).max(1);
+    let mut chosen = Vec::new();
+    for (output, primitive) in model.primitives.iter().enumerate() {
+        for success in [true, false] {
+            let mut these: Vec<&Trial> =
+                trials.iter().filter(|t| t.primitive == *primitive && t.verdict.success == success).collect();
+            these.shuffle(rng);
+            these.sort_by_key(|trial| trial.policy != Policy::Adaptive);
+            chosen.extend(these.into_iter().take(quota).map(|trial| Question::of(trial, output)));
+        }
+    }
+    chosen.shuffle(rng);
+    chosen.truncate(config.trials_per_view);
+    if config.half_turns {
+        chosen.iter_mut().filter(|_| rng.random()).for_each(Question::half_turn);
+    }
+    let mut free = Vec::new();
+    for question in &chosen {
+        if rng.random::<f32>() < config.flipped {
+            let mut flipped = Question { success: false, ..*question };
+            flipped.orientation[..3].iter_mut().for_each(|x| *x = -*x);
+            free.push(flipped);
+        }
+        if rng.random::<f32>() < config.fixed && !fixed.is_empty() {
+            free.push(Question { success: false, pixel: any(fixed, rng), ..*question });
+        }
+    }
+    chosen.extend(free);
+    chosen
+}
+
+/// Further places as (pixel, output): on movable parts, and as often on fixed ones if those are asked about at all.
+pub(crate) fn places(
+    fixed: &[u32],
+    movable: &[u32],
+    model: &ModelConfig,
+    config: &BatchConfig,
+    rng: &mut ChaCha8Rng,
+) -> Vec<(Pixel, usize)> {
+    let mut places = Vec::new();
+    for _ in 0..config.places_per_view {
+        let of_fixed = config.fixed > 0.0 && rng.random();
+        let pixels = if of_fixed { fixed } else { movable };
+        let output = rng.random_range(0..model.primitives.len());
+        if !pixels.is_empty() {
+            places.push((any(pixels, rng), output));
+        }
+    }
+    places
+}
+
+/// One of some pixel indices.
+fn any(pixels: &[u32], rng: &mut ChaCha8Rng) -> Pixel {
+    let i = pixels[rng.random_range(0..pixels.len())];
+    Pixel { u: i % DEPTH_SIDE as u32, v: i / DEPTH_SIDE as u32 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Point3, Vector3};
+    use where2act_core::{Grasp, Seed, Verdict};
+    use where2act_model::Modality;
+
+    fn trial(primitive: Primitive, policy: Policy, success: bool) -> Trial {
+        let grasp = Grasp::new(Point3::origin(), Vector3::new(0.3, -0.5, 0.8), Vector3::new(0.9, 0.1, 0.2));
+        let verdict = Verdict { invalid: None, q_start: 0.0, q_end: 0.0, motion: Vector3::zeros(), success };
+        let pixel = Pixel { u: 7, v: 9 };
+        Trial { primitive, policy, pixel, link: 1, grasp_in_camera: grasp, verdict }
+    }
+
+    #[test]
+    fn a_mirrored_hand_moves_where_the_mirror_shows_it() {
+        let mirror = |v: Vector3<f32>| Vector3::new(-v.x, v.y, v.z);
+        for primitive in Primitive::ALL {
+            let trial = trial(primitive, Policy::Random, true);
+            let mut question = Question::of(&trial, 0);
+            question.mirror();
+            let rotation = Orientation6(question.orientation).to_rotation();
+            let mirrored = Grasp { point: Point3::origin(), rotation };
+            let (wanted, found) = (
+                mirror(primitive.intended_direction(&trial.grasp_in_camera)),
+                primitive.intended_direction(&mirrored),
+            );
+            assert!((wanted - found).norm() < 1e-5, "{primitive}: {wanted} {found}");
+            assert!((mirror(trial.grasp_in_camera.approach()) - mirrored.approach()).norm() < 1e-5);
+            // The plane of the fingers is mirrored too, whichever finger is which.
+            let side = mirror(trial.grasp_in_camera.left()).dot(&mirrored.left());
+            assert!((side.abs() - 1.0).abs() < 1e-5, "{primitive}: {side}");
+        }
+    }
+
+    #[test]
+    fn free_negatives_are_failures_and_own_proposals_come_first() {
+        let model = ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]);
+        let config = BatchConfig {
+            trials_per_view: 4,
+            flipped: 1.0,
+            fixed: 1.0,
+            half_turns: true,
+            ..BatchConfig::default()
+        };
+        let mut trials = vec![trial(Primitive::Pushing, Policy::Random, false); 20];
+        trials.extend([trial(Primitive::Pushing, Policy::Random, true); 3]);
+        trials.push(Trial {
+            pixel: Pixel { u: 1, v: 1 },
+            ..trial(Primitive::Pushing, Policy::Adaptive, false)
+        });
+        let fixed = [448 * 5 + 3];
+        let questions = choose(&trials, &fixed, &model, &config, &mut Seed(1).rng());
+        assert_eq!(questions.len(), 12);
+        assert_eq!(questions.iter().filter(|q| q.success).count(), 2);
+        assert!(questions[..4].iter().any(|q| q.pixel == Pixel { u: 1, v: 1 } && !q.success));
+        assert_eq!(questions[4..].iter().filter(|q| q.pixel == Pixel { u: 3, v: 5 }).count(), 4);
+        let places = places(&fixed, &[0], &model, &config, &mut Seed(2).rng());
+        let of_fixed = places.iter().filter(|(p, _)| *p == Pixel { u: 3, v: 5 }).count();
+        assert!(places.len() == config.places_per_view && of_fixed > 0 && of_fixed < places.len());
+    }
+}

@@ -1,0 +1,514 @@
+//! A whole training run: steps, epochs, validation, checkpoints, and an end that can be resumed.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::sync_channel;
+use std::time::{Duration, Instant};
+
+use burn::module::Module;
+use burn::optim::decay::WeightDecayConfig;
+use burn::optim::{AdamConfig, GradientsParams};
+use burn::tensor::{Device, Tensor};
+use serde::Serialize;
+use where2act_core::shard::Manifest;
+use where2act_core::{Policy, Trial, write_whole};
+use where2act_model::preprocess::{CloudInput, CloudScale};
+use where2act_model::{Modality, ModelConfig, Network, Precision, Weights, WeightsError, save_weights};
+
+use crate::adaptive;
+use crate::batch::{Batch, Source};
+use crate::checkpoint::{self, CheckpointError, Progress, State};
+use crate::config::{ConfigError, TrainConfig};
+use crate::curves::{self, CurvesError};
+use crate::dataset::{DataError, Dataset, SceneId};
+use crate::replay::Replay;
+use crate::split::Part;
+use crate::step::{Losses, Phase, forward};
+use crate::validate::{Validation, validate};
+
+/// Why a run stopped before its end.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// The configuration makes no sense.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The data cannot be used.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// A checkpoint cannot be written or read.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// Weights cannot be written.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// The picture of the curves cannot be drawn.
+    #[error(transparent)]
+    Curves(#[from] CurvesError),
+    /// A file of the run cannot be written.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// What the file system said.
+        source: std::io::Error,
+    },
+    /// The run in this folder is another one.
+    #[error("{}: this run has {what}; start another run with --out, or delete the folder", path.display())]
+    OtherRun {
+        /// The run's folder.
+        path: PathBuf,
+        /// What differs.
+        what: &'static str,
+    },
+    /// The weights to start from are another network's.
+    #[error("{}: these weights are of another network, expected one with the configuration's [network]", path.display())]
+    OtherNetwork {
+        /// The weights' folder.
+        path: PathBuf,
+    },
+    /// The loss is not a number any more, or far too large.
+    #[error("step {step}: the loss is {loss}; last good checkpoint: {}", last_good.display())]
+    Diverged {
+        /// At which step.
+        step: usize,
+        /// The loss.
+        loss: f32,
+        /// Where to go on from, with a smaller rate.
+        last_good: PathBuf,
+    },
+}
+
+/// Trials that exploration adds to train scenes.
+pub type NewTrials = Vec<(SceneId, Vec<Trial>)>;
+
+/// Where training is told to stop, and tells how it goes.
+pub struct Control<'a> {
+    /// Set by Ctrl-C or SIGTERM: the step under way ends, a checkpoint is written, and the run returns.
+    pub stop: &'a AtomicBool,
+    /// Called after every step.
+    pub on_step: &'a mut dyn FnMut(&StepReport),
+    /// Called after every epoch; may return new trials for train scenes.
+    pub on_epoch: &'a mut dyn FnMut(&EpochReport<'_>) -> NewTrials,
+}
+
+/// How a step went.
+#[derive(Clone, Debug, Serialize)]
+pub struct StepReport {
+    /// Steps done.
+    pub step: usize,
+    /// Steps in all.
+    pub steps: usize,
+    /// Weighted sum of the losses.
+    pub loss: f32,
+    /// Cross-entropy of the score.
+    pub score: f32,
+    /// Angle of the reconstruction, radians.
+    pub geodesic: Option<f32>,
+    /// Divergence of the code.
+    pub kl: Option<f32>,
+    /// Squared error of the actionability.
+    pub actionability: Option<f32>,
+    /// Learning rate.
+    pub rate: f64,
+    /// Seconds by stage.
+    pub secs: StageSecs,
+}
+
+/// Seconds of one step by stage.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct StageSecs {
+    /// Waiting for the batch.
+    pub reading: f64,
+    /// Forward pass and losses.
+    pub forward: f64,
+    /// Gradients.
+    pub backward: f64,
+    /// Adam.
+    pub optimiser: f64,
+}
+
+/// How an epoch ended.
+#[derive(Debug)]
+pub struct EpochReport<'a> {
+    /// Steps done.
+    pub step: usize,
+    /// Whether all heads learn already.
+    pub joint: bool,
+    /// Number of this epoch, counted from 0.
+    pub epoch: usize,
+    /// Metrics on validation scenes.
+    pub validation: &'a Validation,
+    /// Whether these are the best weights so far.
+    pub is_best: bool,
+    /// The network as it stands, without gradients.
+    pub network: &'a Network,
+}
+
+/// What a finished or interrupted run leaves.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// Whether all steps were done.
+    pub finished: bool,
+    /// Folder of the best weights, if an epoch has ended.
+    pub weights: Option<PathBuf>,
+    /// Where the run stands.
+    pub progress: Progress,
+}
+
+/// Losses beyond this mean that the run has left the road.
+const EXPLODED: f32 = 1e6;
+/// A checkpoint is written at least this often.
+const CHECKPOINT_EVERY: Duration = Duration::from_secs(180);
+/// Validation looks at so many scenes at most.
+const VALIDATION_SCENES: usize = 96;
+/// Batches prepared ahead.
+const AHEAD: usize = 2;
+
+/// Names of the files in a run's folder.
+pub mod files {
+    /// The configuration.
+    pub const CONFIG: &str = "config.toml";
+    /// One JSON line per step and epoch.
+    pub const METRICS: &str = "metrics.jsonl";
+    /// The picture of the curves.
+    pub const CURVES: &str = "curves.png";
+    /// Checkpoints.
+    pub const CHECKPOINTS: &str = "checkpoints";
+    /// The best weights by validation.
+    pub const WEIGHTS: &str = "weights";
+    /// The weights after the newest epoch. Validation knows trials that others proposed; what the network itself
+    /// proposes may go on getting better when that does not.
+    pub const LAST: &str = "last";
+}
+
+/// Trains in `out` from the data in `dataset`; goes on from the newest checkpoint if there is one.
+///
+/// # Errors
+/// Any [`TrainError`]. What was written before stays.
+pub fn train<'a>(
+    config: &'a TrainConfig,
+    dataset: Arc<Dataset>,
+    out: &'a Path,
+    device: &Device,
+    control: Control<'a>,
+) -> Result<Outcome, TrainError> {
+    config.validate()?;
+    let train_scenes: Arc<[SceneId]> = dataset.scenes(Part::Train)?.into();
+    dataset.require_successes(&train_scenes, &config.network.primitives)?;
+    let mut validation_scenes = dataset.scenes(Part::Validation)?;
+    validation_scenes.truncate(VALIDATION_SCENES);
+
+    let fingerprint = prepare_folder(config, &dataset, out)?;
+    let model = with_scan_radius(config, &dataset, &train_scenes)?;
+    let weight_decay = WeightDecayConfig::new(config.schedule.weight_decay);
+    let fresh = State {
+        network: first_weights(config, &model, &device.clone().autodiff())?,
+        optimiser: AdamConfig::new().with_weight_decay(Some(weight_decay)).init(),
+        replay: Replay::new(config.adaptive.buffer),
+        progress: Progress { fingerprint: fingerprint.clone(), ..Progress::default() },
+    };
+    let checkpoints = out.join(files::CHECKPOINTS);
+    let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
+    let state = match &newest {
+        Some(path) => checkpoint::load(path, fresh)?,
+        None => fresh,
+    };
+    if state.progress.fingerprint != fingerprint {
+        return Err(TrainError::OtherRun {
+            path: out.to_owned(),
+            what: "another configuration or other data",
+        });
+    }
+    forget_metrics_after(&out.join(files::METRICS), state.progress.step)?;
+    let mut run = Run {
+        config,
+        dataset,
+        train_scenes,
+        validation_scenes,
+        out,
+        state,
+        last_checkpoint: newest.unwrap_or_default(),
+        saved_at: Instant::now(),
+        control,
+    };
+    run.finish()
+}
+
+struct Run<'a> {
+    config: &'a TrainConfig,
+    dataset: Arc<Dataset>,
+    train_scenes: Arc<[SceneId]>,
+    validation_scenes: Vec<SceneId>,
+    out: &'a Path,
+    state: State,
+    last_checkpoint: PathBuf,
+    saved_at: Instant,
+    control: Control<'a>,
+}
+
+impl Run<'_> {
+    fn finish(&mut self) -> Result<Outcome, TrainError> {
+        let steps = self.config.steps();
+        while self.state.progress.step < steps {
+            let epoch = self.state.progress.step / self.config.schedule.epoch_steps;
+            let end = ((epoch + 1) * self.config.schedule.epoch_steps).min(steps);
+            self.steps_until(end)?;
+            if self.state.progress.step < end {
+                self.save()?;
+                return Ok(self.outcome(false));
+            }
+            self.end_epoch(epoch)?;
+            if self.control.stop.load(Ordering::Relaxed) {
+                return Ok(self.outcome(self.state.progress.step == steps));
+            }
+        }
+        Ok(self.outcome(true))
+    }
+
+    fn outcome(&self, finished: bool) -> Outcome {
+        let weights = self.out.join(files::WEIGHTS);
+        Outcome {
+            finished,
+            weights: weights.is_dir().then_some(weights),
+            progress: self.state.progress.clone(),
+        }
+    }
+
+    /// Runs steps up to `end` or until told to stop. Batches are prepared on another thread, in order.
+    fn steps_until(&mut self, end: usize) -> Result<(), TrainError> {
+        let replay = Arc::new(self.state.replay.clone());
+        let source = Source::new(self.dataset.clone(), self.train_scenes.clone(), replay, self.config);
+        let first = self.state.progress.step;
+        std::thread::scope(|scope| {
+            let (send, receive) = sync_channel(AHEAD);
+            scope.spawn(move || {
+                for step in first..end {
+                    // The receiver hangs up when training stops early.
+                    if send.send(source.batch(step)).is_err() {
+                        break;
+                    }
+                }
+            });
+            for step in first..end {
+                if self.control.stop.load(Ordering::Relaxed) {
+                    break;
+                }
+                let began = Instant::now();
+                let Ok(batch) = receive.recv() else { break };
+                let batch = batch?;
+                let reading = began.elapsed().as_secs_f64();
+                self.step(step, &batch, reading)?;
+                self.state.progress.secs += began.elapsed().as_secs_f64();
+                // The end of an epoch saves only after validation and online sampling, which belong to it.
+                if self.saved_at.elapsed() > CHECKPOINT_EVERY && step + 1 < end {
+                    self.save()?;
+                }
+            }
+            Ok(())
+        })
+    }
+
+    fn step(&mut self, step: usize, batch: &Batch, reading: f64) -> Result<(), TrainError> {
+        let phase = if step < self.config.schedule.score_steps { Phase::Score } else { Phase::Joint };
+        let mut rng = self.config.root_seed().child("noise", step as u64).rng();
+        let mut secs = StageSecs { reading, ..StageSecs::default() };
+        let mut watch = Instant::now();
+        let mut lap = || std::mem::replace(&mut watch, Instant::now()).elapsed().as_secs_f64();
+        let losses = forward(&self.state.network, batch, phase, &self.config.loss, &mut rng);
+        let total = losses.total(&self.config.loss);
+        let loss = number(&total);
+        secs.forward = lap();
+        if !loss.is_finite() || loss > EXPLODED {
+            return Err(TrainError::Diverged { step, loss, last_good: self.last_checkpoint.clone() });
+        }
+        let gradients = GradientsParams::from_grads(total.backward(), &self.state.network);
+        secs.backward = lap();
+        let rate = self.config.rate(step);
+        let network = self.state.network.clone();
+        self.state.network = self.state.optimiser.step(rate, network, gradients);
+        secs.optimiser = lap();
+        self.state.progress.step = step + 1;
+        let report = report(self.config, step + 1, loss, &losses, rate, secs);
+        self.log(&report)?;
+        (self.control.on_step)(&report);
+        Ok(())
+    }
+
+    fn end_epoch(&mut self, epoch: usize) -> Result<(), TrainError> {
+        let network = self.state.network.clone().valid();
+        let seed = self.config.root_seed();
+        let validation = validate(&network, &self.dataset, &self.validation_scenes, seed)?;
+        let joint = self.state.progress.step > self.config.schedule.score_steps;
+        // Proposals and actionability are learnt in the joint phase alone: weights of the first phase cannot be used.
+        let is_best = joint && self.state.progress.best.is_none_or(|best| validation.figure > best);
+        if is_best {
+            self.state.progress.best = Some(validation.figure);
+        }
+        if joint {
+            let card = card(self.config, &self.state.progress, &validation);
+            let centred = network.clone().shift_scores(&validation.shifts());
+            let save = |folder: &str| save_weights(&self.out.join(folder), &centred, &card, Precision::F16);
+            save(files::LAST)?;
+            if is_best {
+                save(files::WEIGHTS)?;
+            }
+        }
+        let step = self.state.progress.step;
+        self.log(&serde_json::json!({ "step": step, "epoch": epoch, "validation": validation }))?;
+        let report = EpochReport { step, joint, epoch, validation: &validation, is_best, network: &network };
+        let new = (self.control.on_epoch)(&report);
+        if !new.is_empty() {
+            let [own, random] =
+                [Policy::Adaptive, Policy::Random].map(|policy| adaptive::count(&new, policy));
+            self.log(&serde_json::json!({ "step": step, "online": { "own": own, "random": random } }))?;
+        }
+        for (scene, trials) in new {
+            self.state.replay.add(scene, trials);
+        }
+        curves::draw(&self.out.join(files::METRICS), &self.out.join(files::CURVES))?;
+        self.save()
+    }
+
+    fn save(&mut self) -> Result<(), TrainError> {
+        self.last_checkpoint = checkpoint::save(&self.out.join(files::CHECKPOINTS), &self.state)?;
+        self.saved_at = Instant::now();
+        Ok(())
+    }
+
+    fn log(&self, line: &impl Serialize) -> Result<(), TrainError> {
+        let path = self.out.join(files::METRICS);
+        let append = || {
+            let mut file = fs::OpenOptions::new().create(true).append(true).open(&path)?;
+            let line = serde_json::to_string(line)?;
+            writeln!(file, "{line}")
+        };
+        append().map_err(|e| io(&path, e))
+    }
+}
+
+fn io(path: &Path, source: std::io::Error) -> TrainError {
+    TrainError::Io { path: path.to_owned(), source }
+}
+
+fn number(loss: &Tensor<1>) -> f32 {
+    loss.clone().into_data().convert::<f32>().as_slice::<f32>().map_or(f32::NAN, |s| s[0])
+}
+
+fn report(
+    config: &TrainConfig,
+    step: usize,
+    loss: f32,
+    losses: &Losses,
+    rate: f64,
+    secs: StageSecs,
+) -> StepReport {
+    let read = |loss: &Option<Tensor<1>>| loss.as_ref().map(number);
+    StepReport {
+        step,
+        steps: config.steps(),
+        loss,
+        score: number(&losses.score),
+        geodesic: read(&losses.geodesic),
+        kl: read(&losses.kl),
+        actionability: read(&losses.actionability),
+        rate,
+        secs,
+    }
+}
+
+/// Creates the run's folder with its configuration, or checks that it holds the same one.
+fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result<String, TrainError> {
+    let text = toml::to_string(config).map_err(|e| io(out, std::io::Error::other(e)))?;
+    let manifest = Manifest::load(dataset.folder()).map_err(DataError::from)?;
+    let shards = dataset.shards().len();
+    let manifest = serde_json::to_string(&(manifest, shards)).map_err(|e| io(out, e.into()))?;
+    let path = out.join(files::CONFIG);
+    match fs::read_to_string(&path) {
+        Ok(found) if found == text => {}
+        Ok(_) => return Err(TrainError::OtherRun { path: out.to_owned(), what: "another configuration" }),
+        Err(_) => write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?,
+    }
+    Ok(checkpoint::fingerprint(&text, &manifest))
+}
+
+/// The weights to start from: random ones, or those that the configuration names.
+fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> Result<Network, TrainError> {
+    let Some(folder) = &config.from else {
+        return Ok(Network::new(model, config.root_seed().child("weights", 0), device));
+    };
+    let network = Weights::load(folder, device)?.network;
+    // What does not change the shape of any parameter may differ.
+    let found = network.config().clone();
+    let comparable = ModelConfig {
+        name: model.name.clone(),
+        points: model.points,
+        preprocessing: model.preprocessing.clone(),
+        ..found
+    };
+    if comparable != *model {
+        return Err(TrainError::OtherNetwork { path: folder.clone() });
+    }
+    Ok(network.with_config(|own| *own = model.clone()))
+}
+
+/// The network's description with the sizes of clouds that training will see.
+fn with_scan_radius(
+    config: &TrainConfig,
+    dataset: &Dataset,
+    scenes: &[SceneId],
+) -> Result<ModelConfig, TrainError> {
+    let mut model = config.model();
+    if model.modality == Modality::Rgb {
+        return Ok(model);
+    }
+    let mut radii = Vec::new();
+    for (i, id) in scenes.iter().enumerate().take(100) {
+        let shard = &dataset.shards()[id.shard];
+        let points: Vec<_> = shard.foreground(id.scene).into_iter().map(|(_, point)| point).collect();
+        let mut rng = config.root_seed().child("radius", i as u64).rng();
+        let small = model.clone().with_points(1000);
+        let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), &small, &mut rng)
+            .map_err(|source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source })?;
+        radii.push(cloud.robust_radius());
+    }
+    radii.sort_by(f32::total_cmp);
+    if let (Some(smallest), Some(largest)) = (radii.first(), radii.last()) {
+        model.preprocessing.scan_radius = [*smallest, *largest];
+    }
+    Ok(model)
+}
+
+/// Drops lines of steps that will be done again.
+fn forget_metrics_after(path: &Path, step: usize) -> Result<(), TrainError> {
+    let Ok(text) = fs::read_to_string(path) else { return Ok(()) };
+    let is_kept = |line: &&str| {
+        serde_json::from_str::<serde_json::Value>(line)
+            .is_ok_and(|value| value["step"].as_u64().is_some_and(|s| s as usize <= step))
+    };
+    let kept: String = text.lines().filter(is_kept).map(|line| format!("{line}\n")).collect();
+    write_whole(path, |w| w.write_all(kept.as_bytes())).map_err(|e| io(path, e))
+}
+
+fn card(config: &TrainConfig, progress: &Progress, validation: &Validation) -> String {
+    let mut text = format!(
+        "# {}\n\nTrained for {} steps ({:.2} hours), seed {}, data and configuration {}.\n\n",
+        config.name,
+        progress.step,
+        progress.secs / 3600.0,
+        config.seed,
+        &progress.fingerprint[..16]
+    );
+    text += "Validation (objects of the training categories that training has not seen, all policies):\n\n";
+    text += "| primitive | trials | successes | average precision | F-score | best F-score |\n";
+    text += "| --- | --- | --- | --- | --- | --- |\n";
+    for (primitive, m) in config.network.primitives.iter().zip(&validation.all) {
+        text += &format!(
+            "| {primitive} | {} | {} | {:.3} | {:.3} | {:.3} |\n",
+            m.trials, m.successes, m.average_precision, m.f_score, m.best_f_score
+        );
+    }
+    text
+}

@@ -1,0 +1,172 @@
+//! One training step: forward, losses, backward, Adam.
+
+use burn::module::Module;
+use burn::tensor::activation::sigmoid;
+use burn::tensor::{Device, Tensor, TensorData};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+use where2act_model::losses::{
+    binary_cross_entropy, geodesic_distance, kl_divergence, squared_error, weighted_mean,
+};
+use where2act_model::{Choice, Heads, Input, Network, to_axes};
+
+use crate::batch::{Batch, BatchInput, Queries};
+use crate::config::LossConfig;
+
+/// Losses of a step before they are weighted. They stay tensors until somebody wants to read them.
+#[derive(Clone, Debug)]
+pub struct Losses {
+    /// Binary cross-entropy of the score.
+    pub score: Tensor<1>,
+    /// Mean angle between reconstructed and successful orientations, radians; `None` in the score phase.
+    pub geodesic: Option<Tensor<1>>,
+    /// Divergence of the proposal's code; `None` in the score phase.
+    pub kl: Option<Tensor<1>>,
+    /// Squared error of the actionability; `None` in the score phase.
+    pub actionability: Option<Tensor<1>>,
+}
+
+impl Losses {
+    /// The weighted sum that is minimised.
+    #[must_use]
+    pub fn total(&self, weights: &LossConfig) -> Tensor<1> {
+        let mut total = self.score.clone() * weights.score;
+        let further = [
+            (&self.geodesic, weights.geodesic),
+            (&self.kl, weights.kl),
+            (&self.actionability, weights.actionability),
+        ];
+        for (loss, weight) in further {
+            if let Some(loss) = loss {
+                total = total + loss.clone() * weight;
+            }
+        }
+        total
+    }
+}
+
+/// Which heads learn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// Backbone and score head alone.
+    Score,
+    /// All heads.
+    Joint,
+}
+
+/// Forward pass of a batch and its losses.
+#[must_use]
+pub fn forward(
+    network: &Network,
+    batch: &Batch,
+    phase: Phase,
+    config: &LossConfig,
+    rng: &mut impl Rng,
+) -> Losses {
+    let device = network.device();
+    let queries = &batch.queries;
+    let (all, trials) = (queries.places.len(), queries.trials());
+    let features = match &batch.input {
+        BatchInput::Images { pixels, views, side } => {
+            let shape = [*views, 3, *side, *side];
+            let images = Tensor::<4>::from_data(TensorData::new(pixels.clone(), shape), &device);
+            network.features_at(Input::Images(images), &queries.places)
+        }
+        BatchInput::Clouds(hierarchy) => network.features_at(Input::Clouds(hierarchy), &queries.places),
+    };
+    let outputs = network.config().primitives.len();
+    let of_trials = features.clone().narrow(0, 0, trials);
+    let orientations = orientations(queries, &device);
+    let choice = Choice::new(&queries.outputs[..trials], outputs, &device);
+    let logits = choice.pick(network.heads.score.forward(of_trials.clone(), orientations.clone()));
+    let labels = Tensor::from_floats(queries.labels.as_slice(), &device);
+    let weights = Tensor::from_floats(queries.weights.as_slice(), &device);
+    let score = weighted_mean(binary_cross_entropy(logits, labels), weights);
+    if phase == Phase::Score {
+        return Losses { score, geodesic: None, kl: None, actionability: None };
+    }
+
+    let (geodesic, kl) = reconstruction(network, queries, of_trials, &orientations, rng);
+    let choice = Choice::new(&queries.outputs, outputs, &device);
+    let target =
+        actionability_target(&network.heads.clone().valid(), features.clone().inner(), queries, config, rng);
+    let guess = choice.pick(network.heads.actionability.forward(features));
+    let actionability = squared_error(guess, Tensor::from_inner(target).detach()).sum() / all.max(1) as f32;
+    Losses { score, geodesic, kl, actionability: Some(actionability) }
+}
+
+/// Orientations of the trials, `[trials, 6]`.
+fn orientations(queries: &Queries, device: &Device) -> Tensor<2> {
+    let flat: Vec<f32> = queries.orientations.iter().flatten().copied().collect();
+    Tensor::from_data(TensorData::new(flat, [queries.orientations.len(), 6]), device)
+}
+
+/// How well the proposal head reconstructs the successful orientations, and how far its code is from normal.
+fn reconstruction(
+    network: &Network,
+    queries: &Queries,
+    features: Tensor<2>,
+    orientations: &Tensor<2>,
+    rng: &mut impl Rng,
+) -> (Option<Tensor<1>>, Option<Tensor<1>>) {
+    let successes: Vec<usize> =
+        (0..queries.trials()).filter(|&i| queries.labels[i] > 0.5 && queries.weights[i] > 0.0).collect();
+    if successes.is_empty() {
+        return (None, None);
+    }
+    let device = network.device();
+    let (outputs, latent) = (network.config().primitives.len(), network.config().latent);
+    let picked: Vec<usize> = successes.iter().map(|&i| queries.outputs[i]).collect();
+    let choice = Choice::new(&picked, outputs, &device);
+    let rows: Vec<i64> = successes.iter().map(|&i| i as i64).collect();
+    let rows = Tensor::<1, burn::tensor::Int>::from_data(TensorData::new(rows, [successes.len()]), &device);
+    let features = features.select(0, rows.clone());
+    let orientations = orientations.clone().select(0, rows);
+    let code = network.heads.proposal.encode(features.clone(), orientations.clone(), &choice);
+    let z = code.sample(normal([successes.len(), latent], rng, &device));
+    let decoded = to_axes(choice.pick_rows(network.heads.proposal.decode(features, z)));
+    (Some(geodesic_distance(decoded, orientations).mean()), Some(kl_divergence(&code).mean()))
+}
+
+/// What the score head thinks of the proposals at each query: the mean of all, or of the best few. `[q]`, without
+/// gradient.
+fn actionability_target(
+    heads: &Heads,
+    features: Tensor<2>,
+    queries: &Queries,
+    config: &LossConfig,
+    rng: &mut impl Rng,
+) -> Tensor<1> {
+    let device = features.device();
+    let [q, _] = features.dims();
+    let proposals = config.proposals;
+    let latent = heads.proposal.decoder.mlp1.linear.weight.dims()[0] - heads.proposal.decoder.mlp1.features;
+    let [_, six] = heads.proposal.decoder.mlp2.weight.dims();
+    let outputs = six / 6;
+    let [_, hidden] = heads.score.mlp1.linear.weight.dims();
+
+    // The same codes serve all queries: a head's first layer is computed once per query and once per code.
+    let codes = heads.proposal.code_half(normal([proposals, latent], rng, &device));
+    let decode =
+        heads.proposal.feature_half(features.clone()).unsqueeze_dim::<3>(1) + codes.unsqueeze_dim::<3>(0);
+    let raw = heads.proposal.decode_from_halves(decode.reshape([q * proposals, hidden]));
+    let repeated: Vec<usize> =
+        queries.outputs.iter().flat_map(|&output| std::iter::repeat_n(output, proposals)).collect();
+    let choice = Choice::new(&repeated, outputs, &device);
+    let axes = to_axes(choice.pick_rows(raw.reshape([q * proposals, outputs, 6])));
+    let halves = heads.score.feature_half(features).unsqueeze_dim::<3>(1)
+        + heads.score.orientation_half(axes).reshape([q, proposals, hidden]);
+    let logits = choice.pick(heads.score.from_halves(halves.reshape([q * proposals, hidden])));
+    let scores = sigmoid(logits).reshape([q, proposals]);
+    if config.best == 0 {
+        scores.mean_dim(1).reshape([q])
+    } else {
+        scores.topk(config.best, 1).mean_dim(1).reshape([q])
+    }
+}
+
+/// Standard normal numbers from a generator that is passed in.
+fn normal(shape: [usize; 2], rng: &mut impl Rng, device: &Device) -> Tensor<2> {
+    let values: Vec<f32> = (0..shape[0] * shape[1]).map(|_| StandardNormal.sample(rng)).collect();
+    Tensor::from_data(TensorData::new(values, shape), device)
+}

@@ -1,0 +1,180 @@
+//! Whole training runs on a tiny data set made up for the purpose.
+
+mod boards;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use burn::tensor::Device;
+use where2act_core::Primitive;
+use where2act_core::shard::Manifest;
+use where2act_model::{Modality, Tensors, Weights};
+use where2act_train::run::{Control, Outcome, TrainError, files, train};
+use where2act_train::{
+    BatchConfig, CollectConfig, DataError, Dataset, LossConfig, NetworkConfig, ScheduleConfig, TrainConfig,
+};
+
+fn data(folder: &Path, scenes: u64) -> Arc<Dataset> {
+    boards::write(folder, 0..scenes);
+    Arc::new(Dataset::open(folder, false).unwrap())
+}
+
+fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
+    TrainConfig {
+        name: "test".to_owned(),
+        seed: 3,
+        from: None,
+        network: NetworkConfig {
+            modality: Modality::Cloud,
+            primitives: vec![Primitive::Pushing],
+            width: 1.0,
+            hidden: 32,
+            latent: 4,
+            points: 256,
+            surroundings: false,
+            candidates: 256,
+        },
+        batch: BatchConfig {
+            views: 4,
+            trials_per_view: 32,
+            flipped: 0.2,
+            places_per_view: 4,
+            ..BatchConfig::default()
+        },
+        schedule: ScheduleConfig {
+            score_steps,
+            joint_steps,
+            epoch_steps: 6,
+            rate: 3e-3,
+            weight_decay: 1e-5,
+            decay: Default::default(),
+        },
+        loss: LossConfig { proposals: 8, best: 2, ..LossConfig::default() },
+        adaptive: Default::default(),
+        collect: CollectConfig::default(),
+    }
+}
+
+/// Trains until `stop_after` steps are done in this call; returns the losses of the steps.
+fn train_for(
+    config: &TrainConfig,
+    data: &Arc<Dataset>,
+    out: &Path,
+    stop_after: usize,
+) -> Result<(Outcome, Vec<f32>), TrainError> {
+    let stop = AtomicBool::new(false);
+    let mut losses = Vec::new();
+    let mut on_step = |report: &where2act_train::run::StepReport| {
+        losses.push(report.loss);
+        if losses.len() == stop_after {
+            stop.store(true, Ordering::Relaxed);
+        }
+    };
+    let control = Control { stop: &stop, on_step: &mut on_step, on_epoch: &mut |_| Vec::new() };
+    let outcome = train(config, Arc::clone(data), out, &Device::flex(), control)?;
+    Ok((outcome, losses))
+}
+
+#[test]
+fn an_interrupted_run_ends_with_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 32);
+    let config = config(7, 13);
+    let (whole, pieces) = (folder.path().join("whole"), folder.path().join("pieces"));
+    let (outcome, losses) = train_for(&config, &data, &whole, usize::MAX).unwrap();
+    assert!(outcome.finished);
+    assert_eq!(losses.len(), 20);
+    let mut resumed = Vec::new();
+    // Inside an epoch, at its end, in both phases, and twice in a row.
+    for steps in [3, 3, 1, 6, 2, usize::MAX] {
+        let (outcome, losses) = train_for(&config, &data, &pieces, steps).unwrap();
+        resumed.extend(losses);
+        assert_eq!(outcome.finished, resumed.len() == 20);
+    }
+    assert_eq!(losses, resumed);
+    let tensors =
+        |run: &Path| Tensors::read(&run.join(files::WEIGHTS).join("model.safetensors")).unwrap().by_name;
+    let (a, b) = (tensors(&whole), tensors(&pieces));
+    let different: Vec<_> =
+        a.iter().filter(|(name, tensor)| b.get(*name) != Some(tensor)).map(|x| x.0).collect();
+    assert!(different.is_empty(), "{different:?}");
+    assert!(std::fs::metadata(whole.join(files::CURVES)).unwrap().len() > 1000);
+}
+
+#[test]
+fn what_can_be_learnt_is_learnt() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 40);
+    let (outcome, losses) =
+        train_for(&config(60, 60), &data, &folder.path().join("run"), usize::MAX).unwrap();
+    let mean = |l: &[f32]| l.iter().sum::<f32>() / l.len() as f32;
+    assert!(mean(&losses[50..60]) < 0.6 * mean(&losses[..5]), "{losses:?}");
+    // A quarter of the trials succeed, which is what chance would get.
+    assert!(outcome.progress.best.unwrap() > 0.6, "{:?}", outcome.progress);
+    let weights = Weights::load(&outcome.weights.unwrap(), &Device::flex()).unwrap();
+    assert_eq!(weights.network.config().primitives, [Primitive::Pushing]);
+}
+
+#[test]
+fn a_run_may_start_from_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 40);
+    let (first, _) = train_for(&config(3, 3), &data, &folder.path().join("first"), usize::MAX).unwrap();
+    let weights = first.weights.unwrap();
+    // Steps too small to change a weight's last digit.
+    let mut further = TrainConfig { from: Some(weights.clone()), ..config(1, 1) };
+    further.schedule.rate = 1e-12;
+    let (second, _) = train_for(&further, &data, &folder.path().join("second"), usize::MAX).unwrap();
+    let tensors = |weights: &Path| Tensors::read(&weights.join("model.safetensors")).unwrap().by_name;
+    let (before, after) = (tensors(&weights), tensors(&second.weights.unwrap()));
+    // Statistics follow the data, and the scores' bias their best threshold.
+    let own = |name: &str| !name.contains("running_") && name != "heads.score.mlp2.bias";
+    let same = |name: &str| before.get(name) == after.get(name);
+    let different: Vec<_> = before.keys().filter(|name| own(name) && !same(name)).collect();
+    assert!(different.is_empty(), "{different:?}");
+    let mut other = further;
+    other.network.hidden = 48;
+    let error = train_for(&other, &data, &folder.path().join("other"), 1).unwrap_err();
+    assert!(matches!(&error, TrainError::OtherNetwork { path } if *path == weights), "{error}");
+}
+
+#[test]
+fn resuming_with_another_configuration_or_data_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let data_path = folder.path().join("data");
+    let data = data(&data_path, 32);
+    let out = folder.path().join("run");
+    train_for(&config(2, 2), &data, &out, 1).unwrap();
+    let error = train_for(&config(2, 4), &data, &out, 1).unwrap_err();
+    assert!(error.to_string().contains("another configuration"), "{error}");
+    // The run itself is untouched and goes on.
+    assert!(train_for(&config(2, 2), &data, &out, usize::MAX).unwrap().0.finished);
+}
+
+#[test]
+fn bad_data_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("data");
+    data(&path, 16);
+    let shard = Manifest::shard_path(&path, 1);
+    let bytes = std::fs::read(&shard).unwrap();
+    std::fs::write(&shard, &bytes[..bytes.len() / 2]).unwrap();
+    let error = Dataset::open(&path, false).unwrap_err();
+    assert!(error.to_string().contains("shard-00001"), "{error}");
+    let rest = Dataset::open(&path, true).unwrap();
+    assert_eq!((rest.shards().len(), rest.skipped.len()), (1, 1));
+
+    let mut other = config(2, 2);
+    other.network.primitives = vec![Primitive::Pulling];
+    let whole = data(&folder.path().join("whole"), 32);
+    let error = train_for(&other, &whole, &folder.path().join("run"), 1).unwrap_err();
+    assert!(
+        matches!(error, TrainError::Data(DataError::NoSuccess { primitive: Primitive::Pulling, .. })),
+        "{error}"
+    );
+
+    let empty = folder.path().join("empty");
+    std::fs::create_dir(&empty).unwrap();
+    assert!(Dataset::open(&empty, false).unwrap_err().to_string().contains("manifest.json"));
+}

@@ -1,0 +1,237 @@
+//! The `predict` program from outside: what it writes, what it prints, how it refuses.
+
+use std::path::{Path, PathBuf};
+
+use assert_cmd::Command;
+use where2act_core::{Prediction, Primitive, Seed};
+use where2act_model::{Modality, ModelConfig, Network, Precision, save_weights};
+
+/// A folder with small random networks in `weights/rgb` and `weights/cloud`, and a picture, a depth map and a scan.
+struct Bench {
+    folder: tempfile::TempDir,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, modality) in [("rgb", Modality::Rgb), ("cloud", Modality::Cloud)] {
+            let config = ModelConfig::new(modality, &Primitive::ALL).with_width(0.125).with_points(1024);
+            let network = Network::new(&config, Seed(7), &burn::tensor::Device::flex());
+            save_weights(&folder.path().join("weights").join(name), &network, "random", Precision::F32)
+                .unwrap();
+        }
+        let bench = Self { folder };
+        let picture =
+            image::RgbImage::from_fn(160, 120, |x, y| image::Rgb([x as u8, y as u8, (x ^ y) as u8]));
+        picture.save(bench.path("picture.png")).unwrap();
+        let depth = image::ImageBuffer::from_fn(160, 120, |x, y| {
+            let inside = (20..140).contains(&x) && (10..110).contains(&y);
+            image::Luma([if inside { 1500 + 2 * x as u16 + y as u16 } else { 0 }])
+        });
+        image::DynamicImage::ImageLuma16(depth).save(bench.path("depth.png")).unwrap();
+        let points: String = (0..3000)
+            .map(|i| {
+                format!(
+                    "{} {} {}\n",
+                    (i % 60) as f32 * 0.01,
+                    (i / 60) as f32 * 0.01,
+                    1.5 + (i % 7) as f32 * 0.001
+                )
+            })
+            .collect();
+        let header = "ply\nformat ascii 1.0\nelement vertex 3000\nproperty float x\nproperty float y\nproperty float z\n";
+        std::fs::write(bench.path("scan.ply"), format!("{header}end_header\n{points}")).unwrap();
+        bench
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn predict(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_predict"));
+        command.current_dir(self.folder.path()).args(args);
+        command
+    }
+
+    fn prediction(&self, folder: &str) -> Prediction {
+        let text = std::fs::read_to_string(self.path(folder).join("prediction.json")).unwrap();
+        validate(&text);
+        serde_json::from_str(&text).unwrap()
+    }
+}
+
+/// Checks JSON against the committed schema.
+fn validate(json: &str) {
+    let schema = Path::new(env!("CARGO_MANIFEST_DIR")).join("schema/prediction.schema.json");
+    let schema = serde_json::from_slice(&std::fs::read(schema).unwrap()).unwrap();
+    let validator = jsonschema::validator_for(&schema).unwrap();
+    let errors: Vec<String> = validator
+        .iter_errors(&serde_json::from_str(json).unwrap())
+        .map(|e| format!("{}: {e}", e.instance_path()))
+        .collect();
+    assert!(errors.is_empty(), "{errors:#?}");
+}
+
+/// The prediction without what may differ between runs: timing, and names of files.
+fn essence(mut prediction: Prediction) -> Prediction {
+    prediction.timing = Default::default();
+    prediction.input.source.clear();
+    for of in &mut prediction.primitives {
+        of.actionability.map = None;
+    }
+    prediction
+}
+
+fn parse_line(stdout: &[u8]) -> Prediction {
+    serde_json::from_slice(stdout).unwrap()
+}
+
+#[test]
+fn a_picture_gives_everything_it_promises() {
+    let bench = Bench::new();
+    let run = bench.predict(&["picture.png", "--out", "out"]).assert().success();
+    let table = String::from_utf8_lossy(&run.get_output().stdout).into_owned();
+    let prediction = bench.prediction("out");
+    assert_eq!(prediction.primitives.len(), 6);
+    for of in &prediction.primitives {
+        assert!(table.contains(of.primitive.name()));
+        assert_eq!(of.proposals.len(), 10);
+        assert!(of.proposals.iter().all(|p| p.point.is_none() && p.waypoints.is_empty()));
+        let map = std::fs::read(bench.path("out").join(of.actionability.map.as_ref().unwrap())).unwrap();
+        let npy = npyz::NpyFile::new(&map[..]).unwrap();
+        assert_eq!(npy.shape(), [120, 160]);
+        let values = npy.into_vec::<f32>().unwrap();
+        let best = values.iter().copied().fold(0.0, f32::max);
+        // Interpolation between the network's pixels may miss the peak, never exceed it.
+        assert!(best <= of.actionability.max + 1e-6 && best > 0.9 * of.actionability.max);
+        let overlay = image::open(bench.path(&format!("out/overlay_{}.png", of.primitive))).unwrap();
+        assert!(overlay.width() > 600);
+    }
+    assert!(image::open(bench.path("out/sheet.png")).unwrap().width() > 2000);
+}
+
+#[test]
+fn depth_gives_points_and_poses() {
+    let bench = Bench::new();
+    bench
+        .predict(&["picture.png", "--depth", "depth.png", "--fov", "40", "--out", "both"])
+        .assert()
+        .success();
+    bench.predict(&["depth.png", "--fov", "40", "--out", "depth"]).assert().success();
+    bench.predict(&["scan.ply", "--out", "scan"]).assert().success();
+    for (folder, kind) in [("both", "rgbd"), ("depth", "depth"), ("scan", "cloud")] {
+        let prediction = bench.prediction(folder);
+        assert_eq!(prediction.input.kind, kind);
+        let proposals: Vec<_> = prediction.primitives.iter().flat_map(|p| &p.proposals).collect();
+        assert!(proposals.len() > 12, "{kind}: {}", proposals.len());
+        for p in proposals {
+            let Some(point) = p.point else { continue };
+            assert!((1.4..2.2).contains(&point[2]), "{kind}: metres of the input, {point:?}");
+            let hand = p.hand_pose.unwrap();
+            for axis in 0..3 {
+                assert!((hand[axis][3] - (point[axis] - 0.15 * p.approach[axis])).abs() < 1e-5);
+            }
+        }
+    }
+    let cloud = std::fs::read(bench.path("scan/cloud_pulling.ply")).unwrap();
+    assert_eq!(where2act_infer::read::parse_ply(&cloud).unwrap().len(), 3000);
+}
+
+#[test]
+fn the_same_bits_from_library_program_folder_and_any_number_of_threads() {
+    let bench = Bench::new();
+    let json = |args: &[&str]| {
+        let run = bench.predict(args).assert().success();
+        let text = String::from_utf8(run.get_output().stdout.clone()).unwrap();
+        validate(&text);
+        essence(parse_line(text.as_bytes()))
+    };
+    for input in ["picture.png", "scan.ply"] {
+        let one = json(&[input, "--json", "--jobs", "1"]);
+        for jobs in ["2", "3", "8"] {
+            assert_eq!(one, json(&[input, "--json", "--jobs", jobs]));
+        }
+        assert_ne!(one, json(&[input, "--json", "--seed", "1"]));
+
+        let (modality, observation) = if input == "scan.ply" {
+            let points = where2act_infer::read::read_scan(&bench.path(input)).unwrap();
+            ("cloud", where2act_core::Observation::Cloud { points })
+        } else {
+            let picture = where2act_infer::read::read_picture(&bench.path(input)).unwrap();
+            let (size, rgb) = (picture.size, Some(picture.rgb));
+            (
+                "rgb",
+                where2act_core::Observation::Image { size, rgb, depth: None, intrinsics: None, mask: None },
+            )
+        };
+        let predictor = where2act_infer::Predictor::load(&bench.path("weights").join(modality)).unwrap();
+        assert_eq!(one, essence(predictor.predict(&observation, &Default::default()).unwrap()));
+    }
+    std::fs::create_dir(bench.path("many")).unwrap();
+    for name in ["picture.png", "scan.ply"] {
+        std::fs::copy(bench.path(name), bench.path("many").join(name)).unwrap();
+    }
+    // Others between them, so that what they leave behind in buffers would be seen.
+    let other = image::RgbImage::from_fn(97, 201, |x, y| image::Rgb([y as u8, 200 - x as u8, 90]));
+    for name in ["a.png", "q.png", "z.jpg"] {
+        other.save(bench.path("many").join(name)).unwrap();
+    }
+    bench.predict(&["many", "--out", "folder", "--no-pictures", "-q"]).assert().success().stdout("");
+    assert_eq!(essence(bench.prediction("folder/picture")), json(&["picture.png", "--json"]));
+    assert_eq!(essence(bench.prediction("folder/scan")), json(&["scan.ply", "--json"]));
+}
+
+#[test]
+fn a_pixel_is_answered_with_what_can_be_done_there() {
+    let bench = Bench::new();
+    let args = ["picture.png", "--pixel", "31,77", "--primitive", "pulling", "--top-k", "4", "--json"];
+    let run = bench.predict(&args).assert().success();
+    let prediction = parse_line(&run.get_output().stdout);
+    let proposals = &prediction.primitives[0].proposals;
+    assert_eq!((prediction.primitives.len(), proposals.len()), (1, 4));
+    assert!(proposals.iter().all(|p| (p.pixel.u, p.pixel.v) == (31, 77)));
+    assert!(proposals.windows(2).all(|pair| pair[0].score >= pair[1].score));
+}
+
+#[test]
+fn refusals_are_one_line_that_names_the_culprit() {
+    let bench = Bench::new();
+    std::fs::write(bench.path("broken.jpg"), b"\xff\xd8\xff\xe0 not a picture").unwrap();
+    std::fs::write(bench.path("empty.ply"), b"").unwrap();
+    std::fs::write(bench.path("notes.txt"), b"hello").unwrap();
+    // Without contents on the disk, and refused without being read.
+    std::fs::File::create(bench.path("huge.png")).unwrap().set_len(600 << 20).unwrap();
+    std::fs::create_dir(bench.path("nothing")).unwrap();
+    image::GrayImage::new(8, 8).save(bench.path("small.png")).unwrap();
+    let cases: &[(&[&str], &[&str])] = &[
+        (&["missing.png"], &["missing.png"]),
+        (&["broken.jpg"], &["broken.jpg", "expected", "found"]),
+        (&["empty.ply"], &["empty.ply", "expected", "found"]),
+        (&["notes.txt"], &["notes.txt", "expected a png"]),
+        (&["huge.png"], &["huge.png", "at most 512 MiB", "600 MiB"]),
+        (&["nothing"], &["nothing", "expected a folder"]),
+        (&["depth.png"], &["depth.png", "--intrinsics or --fov"]),
+        (&["picture.png", "--depth", "small.png", "--fov", "40"], &["small.png", "16-bit"]),
+        (&["picture.png", "--mask", "small.png"], &["--mask small.png", "160x120", "8x8"]),
+        (&["picture.png", "scan.ply", "--mask", "small.png"], &["--mask", "one input", "2"]),
+        (&["picture.png", "--weights", "weights/cloud"], &["where2act-cloud", "pictures", "scans"]),
+        (&["picture.png", "--weights", "nowhere"], &["nowhere", "config.json"]),
+        (&["picture.png", "--pixel", "160,0"], &["pixel", "below 160", "160,0"]),
+        (&["picture.png", "--top-k", "0"], &["--top-k", "found 0"]),
+        (&["picture.png", "--fov", "190"], &["--fov", "190"]),
+        (&["picture.png", "--intrinsics", "1,2,3"], &["--intrinsics", "four numbers", "3"]),
+        (&["picture.png", "--jobs", "0"], &["--jobs", "at least 1"]),
+        (&["scan.ply", "--object-scale", "-1"], &["object-scale", "-1"]),
+    ];
+    for (args, expected) in cases {
+        let run = bench.predict(args).args(["--json"]).assert().failure().code(2).stdout("");
+        let stderr = String::from_utf8_lossy(&run.get_output().stderr).into_owned();
+        assert_eq!(stderr.trim_end().lines().count(), 1, "{args:?}: {stderr}");
+        for word in *expected {
+            assert!(stderr.contains(word), "{args:?}: {stderr} lacks {word:?}");
+        }
+    }
+    bench.predict(&["picture.png", "--primitive", "kicking"]).assert().failure().code(2);
+    bench.predict(&["--help"]).assert().success();
+}
