@@ -24,7 +24,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use memmap2::Mmap;
-use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
@@ -87,6 +87,31 @@ pub struct SceneInfo {
     pub category: Option<Category>,
     /// Settled joint positions, one per movable link.
     pub q: Vec<f32>,
+    /// How each movable link can move from there; empty in data that was collected before this was written down.
+    #[serde(default)]
+    pub freedoms: Vec<Freedom>,
+}
+
+/// How a movable link can move from where it stands, seen from the scene's camera.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Freedom {
+    /// Whether it turns about its axis or slides along it.
+    pub turns: bool,
+    /// Axis of its joint, camera frame.
+    pub axis: Unit<Vector3<f32>>,
+    /// A point on the axis, camera frame, metres.
+    pub point: Point3<f32>,
+    /// How far its position can fall and rise, radians or metres.
+    pub room: [f32; 2],
+}
+
+impl Freedom {
+    /// How fast a point of the link moves when its joint's position rises by 1 rad or 1 m a second: metres a second,
+    /// camera frame.
+    #[must_use]
+    pub fn velocity(&self, point: &Point3<f32>) -> Vector3<f32> {
+        if self.turns { self.axis.cross(&(point - self.point)) } else { self.axis.into_inner() }
+    }
 }
 
 /// One view of one settled object and its trials.
@@ -558,6 +583,12 @@ mod tests {
                 object: format!("Safe:{index}"),
                 category: Some(Category::Safe),
                 q: vec![0.5],
+                freedoms: vec![Freedom {
+                    turns: true,
+                    axis: Unit::new_normalize(Vector3::new(0.3, -0.2, 0.7)),
+                    point: Point3::new(0.1, 0.7, 1.3),
+                    room: [0.5, 1.1],
+                }],
             },
             camera,
             rgb: vec![[index as u8, 2, 3]; RGB_PIXELS],
@@ -579,6 +610,15 @@ mod tests {
         for (i, scene) in scenes.iter().enumerate() {
             assert_eq!(shard.record(i).unwrap(), *scene);
         }
+    }
+
+    #[test]
+    fn a_door_moves_across_its_radius_and_a_drawer_along_its_axis() {
+        let axis = Vector3::z_axis();
+        let door = Freedom { turns: true, axis, point: Point3::new(1.0, 0.0, 5.0), room: [0.0, 1.5] };
+        assert_eq!(door.velocity(&Point3::new(1.5, 0.0, 0.0)), Vector3::new(0.0, 0.5, 0.0));
+        let drawer = Freedom { turns: false, ..door };
+        assert_eq!(drawer.velocity(&Point3::new(1.5, 0.0, 0.0)), Vector3::z());
     }
 
     #[test]

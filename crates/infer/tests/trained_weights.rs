@@ -43,42 +43,6 @@ fn close(what: &str, isa: Isa, found: &[f32], expected: &[f32]) {
     assert!(furthest < TOLERANCE * largest, "{what} on {}: {furthest} of {largest}", isa.name());
 }
 
-/// The heads on every feature: what burn says, then what the kernels say.
-fn check_heads(isa: Isa, network: &Network, engine: &Engine, features: &[f32]) {
-    let width = engine.features();
-    let n = features.len() / width;
-    let waves = |len: usize| -> Vec<f32> { (0..len).map(|i| (i as f32 * 0.618).sin()).collect() };
-    let (orientations, codes) = (waves(6 * n), waves(network.config().latent * n));
-    let of = |values: &[f32]| rows(values, values.len() / n);
-    let heads = &network.heads;
-    let expected = [
-        numbers(heads.actionability.forward(of(features))),
-        numbers(heads.score.forward(of(features), of(&orientations))),
-        numbers(heads.proposal.decode(of(features), of(&codes))),
-    ];
-    let run = |mlp: &Mlp, rows: &[f32], lookup: Option<Lookup<'_>>| {
-        let mut output = vec![0.0; n * mlp.outputs()];
-        mlp.run(MlpInput { rows, lookup, pool: 1 }, &mut output).unwrap();
-        output
-    };
-    let own: Vec<i64> = (0..n as i64).collect();
-    let beside = |mlp: &Mlp, half: &Mlp, other: &[f32]| {
-        let table = run(half, features, None);
-        run(mlp, other, Some(Lookup { table: &table, rows: &own, weights: None, each: 1 }))
-    };
-    let kernels = engine.heads();
-    let found = [
-        run(&kernels.actionability, features, None),
-        beside(&kernels.score, &kernels.score_feature, &orientations),
-        beside(&kernels.proposal, &kernels.proposal_feature, &codes),
-    ];
-    for (what, (found, expected)) in
-        ["actionability", "score", "proposal"].iter().zip(found.iter().zip(&expected))
-    {
-        close(what, isa, found, expected);
-    }
-}
-
 /// `run` gives the features of an engine; `expected` are burn's.
 fn check(network: &Network, expected: &[f32], run: impl Fn(&Engine) -> Vec<f32> + Sync) {
     for isa in Isa::available() {
@@ -92,7 +56,6 @@ fn check(network: &Network, expected: &[f32], run: impl Fn(&Engine) -> Vec<f32> 
         for threads in [2, 5] {
             assert!(with(threads) == features, "{threads} threads on {}", isa.name());
         }
-        check_heads(isa, network, &engine, &features);
     }
 }
 

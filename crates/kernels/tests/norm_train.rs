@@ -19,10 +19,11 @@ fn noise(len: usize, seed: u64, scale: f32, offset: f32) -> Vec<f32> {
     (0..len).map(|_| next()).collect()
 }
 
+/// Whether all values are the expected ones but for rounding, of `scale` where terms cancel that are larger than any result.
 #[track_caller]
-fn close(what: &str, isa: Isa, found: &[f32], expected: &[f64]) {
+fn close(what: &str, isa: Isa, found: &[f32], expected: &[f64], scale: f64) {
     assert_eq!(found.len(), expected.len(), "{what}");
-    let scale = expected.iter().fold(1.0, |m: f64, v| m.max(v.abs()));
+    let scale = expected.iter().fold(scale, |m: f64, v| m.max(v.abs()));
     for (i, (a, b)) in found.iter().zip(expected).enumerate() {
         let error = (f64::from(*a) - b).abs();
         assert!(error <= TOLERANCE * scale, "{what} on {}, value {i}: {a}, expected {b}", isa.name());
@@ -35,6 +36,9 @@ struct Textbook {
     mean: Vec<f64>,
     variance: Vec<f64>,
     normal: Vec<f64>,
+    /// How much more than [`TOLERANCE`] a normalised value may be off where few values lie close together: rounding the
+    /// mean costs half an ulp of it, which the division by their small deviation magnifies.
+    magnified: f64,
 }
 
 impl Textbook {
@@ -51,7 +55,9 @@ impl Textbook {
         let variance = average(&mut (0..x.len()).map(|i| apart(i) * apart(i)));
         let normal =
             (0..x.len()).map(|i| apart(i) / (variance[channels[i]] + f64::from(EPSILON)).sqrt()).collect();
-        Self { channels, mean, variance, normal }
+        let ulps = |(m, v): (&f64, &f64)| f64::from(f32::EPSILON) * m.abs() / (v + f64::from(EPSILON)).sqrt();
+        let magnified = 1.0 + mean.iter().zip(&variance).map(ulps).fold(0.0, f64::max) / TOLERANCE;
+        Self { channels, mean, variance, normal, magnified }
     }
 
     fn forward(&self, gamma: &[f32], beta: &[f32]) -> Vec<f64> {
@@ -77,14 +83,17 @@ impl Textbook {
 
     fn check(&self, isa: Isa, gamma: &[f32], dy: &[f64], found: &Gradients) {
         let [input, of_gamma, of_beta] = self.backward(gamma, dy);
-        close("gradient of the input", isa, &found.input, &input);
-        close("gradient of gamma", isa, &found.gamma, &of_gamma);
-        close("gradient of beta", isa, &found.beta, &of_beta);
+        let scale = |(g, v): (&f32, &f64)| f64::from(g.abs()) / (v + f64::from(EPSILON)).sqrt();
+        let steepest = gamma.iter().zip(&self.variance).map(scale).fold(1.0, f64::max);
+        let most = dy.iter().fold(1.0, |m: f64, v| m.max(v.abs()));
+        close("gradient of the input", isa, &found.input, &input, steepest * most * self.magnified);
+        close("gradient of gamma", isa, &found.gamma, &of_gamma, self.magnified);
+        close("gradient of beta", isa, &found.beta, &of_beta, 1.0);
     }
 
     fn check_moments(&self, isa: Isa, found: &Moments) {
-        close("mean", isa, &found.mean, &self.mean);
-        close("variance", isa, &found.variance, &self.variance);
+        close("mean", isa, &found.mean, &self.mean, 1.0);
+        close("variance", isa, &found.variance, &self.variance, 1.0);
     }
 }
 
@@ -110,7 +119,7 @@ fn check_planes(sizes @ [batch, channels, pixels]: [usize; 3], seed: u64) {
             if relu {
                 expected.iter_mut().for_each(|y| *y = y.max(0.0));
             }
-            close("result", isa, &y, &expected);
+            close("result", isa, &y, &expected, book.magnified);
             let (followed, through) = match (relu, added) {
                 (false, _) => (Followed::Nothing, dy.iter().map(|v| f64::from(*v)).collect()),
                 (true, None) => (Followed::Relu(&y), passed(&dy, &y)),
@@ -121,7 +130,7 @@ fn check_planes(sizes @ [batch, channels, pixels]: [usize; 3], seed: u64) {
             book.check(isa, &gamma, &through, &of);
             assert_eq!(of_residual.is_some(), added.is_some());
             if let Some(of_residual) = of_residual {
-                close("gradient of the residual", isa, &of_residual, &through);
+                close("gradient of the residual", isa, &of_residual, &through, 1.0);
             }
         }
     }
@@ -138,7 +147,7 @@ fn check_rows(count: usize, channels: usize, neighbours: usize, seed: u64) {
         let moments = rows::moments(isa, channels, &x).unwrap();
         book.check_moments(isa, &moments);
         let y = rows::forward(isa, &x, &affine, &moments).unwrap();
-        close("result", isa, &y, &plain.iter().map(|y| y.max(0.0)).collect::<Vec<_>>());
+        close("result", isa, &y, &plain.iter().map(|y| y.max(0.0)).collect::<Vec<_>>(), book.magnified);
         let dy = noise(len, seed + 4, 1.0, 0.1);
         let of = rows::backward(isa, &dy, &x, &affine, &moments).unwrap();
         book.check(isa, &gamma, &passed(&dy, &y), &of);
@@ -150,8 +159,9 @@ fn check_rows(count: usize, channels: usize, neighbours: usize, seed: u64) {
             let (group, c) = (i / channels, i % channels);
             let at = |k: usize| (group * neighbours + k) * channels + c;
             let expected = (0..neighbours).map(|k| plain[at(k)]).fold(0.0, f64::max);
-            assert!((f64::from(most) - expected).abs() <= TOLERANCE * expected.max(1.0));
-            assert!(plain[at(k.into())].max(0.0) >= expected - TOLERANCE * expected.max(1.0));
+            let off = TOLERANCE * expected.max(book.magnified);
+            assert!((f64::from(most) - expected).abs() <= off);
+            assert!(plain[at(k.into())].max(0.0) >= expected - off);
             through[at(k.into())] = if most > 0.0 { f64::from(dy[i]) } else { 0.0 };
         }
         let of = pool::backward(isa, neighbours, &dy, &which, &x, &affine, &moments).unwrap();
@@ -174,6 +184,12 @@ proptest! {
     ) {
         check_rows(count, channels, neighbours, seed);
     }
+}
+
+/// Two values 0.004 apart around 3: found by chance, where the gradient is a difference of terms 100 times larger.
+#[test]
+fn close_values_follow_the_textbook() {
+    check_planes([1, 1, 2], 884);
 }
 
 #[test]

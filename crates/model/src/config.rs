@@ -69,6 +69,9 @@ pub struct ModelConfig {
     /// Whether every point is also described by its nearest surroundings in the full scan, some centimetres: where a
     /// finger fits. Not in the published network. Ignored for pictures.
     pub surroundings: bool,
+    /// Directions that the score head predicts at each pixel or point, to see how well a hand is aligned with them.
+    /// Published: none.
+    pub alignments: usize,
     /// How inputs are prepared.
     pub preprocessing: Preprocessing,
 }
@@ -99,6 +102,7 @@ impl ModelConfig {
             latent: 10,
             points: 10_000,
             surroundings: false,
+            alignments: 0,
             preprocessing: Preprocessing::default(),
         }
     }
@@ -147,6 +151,8 @@ impl ModelConfig {
         check(small(self.features), "features", self.features.to_string(), "a number in 1..=4096")?;
         check(small(self.hidden), "hidden", self.hidden.to_string(), "a number in 1..=4096")?;
         check(small(self.latent), "latent", self.latent.to_string(), "a number in 1..=4096")?;
+        let few = self.alignments <= 1024;
+        check(few, "alignments", self.alignments.to_string(), "a number up to 1024")?;
         let enough = (16..=1_000_000).contains(&self.points);
         check(enough, "points", self.points.to_string(), "a number in 16..=1000000")?;
         let p = &self.preprocessing;
@@ -181,6 +187,8 @@ struct RawModelConfig {
     #[serde(default)]
     surroundings: bool,
     #[serde(default)]
+    alignments: usize,
+    #[serde(default)]
     preprocessing: Preprocessing,
 }
 
@@ -206,6 +214,7 @@ impl From<ModelConfig> for RawModelConfig {
             latent,
             points,
             surroundings,
+            alignments,
             preprocessing,
         } = c;
         let schema = Schema::V1;
@@ -220,6 +229,7 @@ impl From<ModelConfig> for RawModelConfig {
             latent,
             points,
             surroundings,
+            alignments,
             preprocessing,
         }
     }
@@ -230,7 +240,9 @@ impl TryFrom<RawModelConfig> for ModelConfig {
 
     fn try_from(raw: RawModelConfig) -> Result<Self, ConfigError> {
         let RawModelConfig { name, modality, primitives, width, .. } = raw;
-        let RawModelConfig { features, hidden, latent, points, surroundings, preprocessing, .. } = raw;
+        let RawModelConfig {
+            features, hidden, latent, points, surroundings, alignments, preprocessing, ..
+        } = raw;
         let config = Self {
             name,
             modality,
@@ -241,6 +253,7 @@ impl TryFrom<RawModelConfig> for ModelConfig {
             latent,
             points,
             surroundings,
+            alignments,
             preprocessing,
         };
         config.validate()?;

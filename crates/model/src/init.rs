@@ -6,13 +6,14 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use where2act_core::Seed;
 
-use crate::network::Network;
 use crate::weights::names::Path;
 
 /// Draws every weight: convolutions as torchvision's ResNet does (normal, variance 2 / fan-out), linear layers as
-/// PyTorch does (uniform within 1 / sqrt(inputs)). Batch-norms stay as they are.
-pub(crate) fn draw(network: Network, seed: Seed) -> Network {
-    network.map(&mut Draw { seed, path: Path::default(), inputs: 0 })
+/// PyTorch does (uniform within 1 / sqrt(inputs)). Batch-norms stay as they are. The numbers depend on the seed and on
+/// the parameters' names alone.
+#[must_use]
+pub fn draw_weights<M: Module>(module: M, seed: Seed) -> M {
+    module.map(&mut Draw { seed, path: Path::default(), inputs: 0 })
 }
 
 struct Draw {

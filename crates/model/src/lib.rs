@@ -29,11 +29,12 @@ mod unet;
 mod weights;
 
 pub use config::{ConfigError, Modality, ModelConfig, Preprocessing};
-pub use engine::{Engine, EngineError, EngineHeads, Features};
+pub use engine::{Engine, EngineError, Features};
 pub use heads::{
     ActionabilityHead, Choice, Code, Heads, ProposalDecoder, ProposalEncoder, ProposalHead, ScoreHead,
     SplitLinear, rotation_matrix, to_axes,
 };
+pub use init::draw_weights;
 pub use network::{Backbone, Input, Network, gather};
 #[cfg(feature = "train")]
 pub use ops::TrainingEngine;

@@ -6,7 +6,7 @@ use where2act_core::Seed;
 
 use crate::config::{Modality, ModelConfig};
 use crate::heads::Heads;
-use crate::init;
+use crate::init::draw_weights;
 use crate::pointnet::{Hierarchy, PointNet2};
 use crate::summary::Summary;
 use crate::unet::UNet;
@@ -48,7 +48,7 @@ impl Network {
     /// A network with random weights that depend on the seed and nothing else.
     #[must_use]
     pub fn new(config: &ModelConfig, seed: Seed, device: &Device) -> Self {
-        init::draw(Self::zeros(config, device), seed)
+        draw_weights(Self::zeros(config, device), seed)
     }
 
     /// A network whose weights wait to be loaded.

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::config::{Modality, ModelConfig};
+use crate::heads::ALIGNED;
 use crate::pointnet::{DOWN, LEVELS, SURROUNDINGS, SURROUNDINGS_SIZES, UP, level_channels};
 
 /// A part of a network.
@@ -148,6 +149,7 @@ fn pointnet(config: &ModelConfig) -> Vec<Block> {
 
 fn heads(config: &ModelConfig) -> Vec<Block> {
     let (f, h, p, z) = (config.features, config.hidden, config.primitives.len(), config.latent);
+    let a = config.alignments;
     let rows = match config.modality {
         Modality::Rgb => config.preprocessing.image_side.pow(2),
         Modality::Cloud => config.points,
@@ -155,7 +157,7 @@ fn heads(config: &ModelConfig) -> Vec<Block> {
     let head = |input, output| Count::default().linear(input, h, 1, rows).linear(h, output, 1, rows);
     vec![
         head(f, p).block("heads.actionability"),
-        head(f + 6, p).block("heads.score"),
+        head(f + 6 + a, p).linear(f, ALIGNED * a, usize::from(a > 0), rows).block("heads.score"),
         head(f + z, 6 * p).block("heads.proposal.decoder"),
         head(f + 6, p * z).linear(h, p * z, 1, rows).block("heads.proposal.encoder"),
     ]
@@ -191,7 +193,8 @@ mod tests {
     fn counts_are_those_of_the_network() {
         for modality in [Modality::Rgb, Modality::Cloud] {
             for primitives in [&Primitive::ALL[..1], &Primitive::ALL] {
-                let config = ModelConfig::new(modality, primitives).with_width(0.25);
+                let mut config = ModelConfig::new(modality, primitives).with_width(0.25);
+                config.alignments = primitives.len() - 1;
                 let network = Network::new(&config, Seed(1), &Device::flex());
                 assert_eq!(Summary::new(&config).parameters(), trained(&network));
             }

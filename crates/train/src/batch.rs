@@ -2,19 +2,20 @@
 
 use std::sync::Arc;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use where2act_core::shard::{DEPTH_SIDE, RGB_SIDE};
+use where2act_core::shard::{DEPTH_SIDE, DEPTH_UNIT, RGB_SIDE, Shard};
 use where2act_core::{ImageSize, Pixel, Seed};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
 use where2act_model::{Hierarchy, Modality, ModelConfig};
 
 use crate::config::{BatchConfig, TrainConfig};
 use crate::dataset::{DataError, Dataset, SceneId};
-use crate::questions::{self, Question};
+use crate::motion::{self, Ways};
+use crate::questions::{self, Ground, Question};
 use crate::replay::Replay;
 
 /// What the network is shown and asked.
@@ -55,6 +56,8 @@ pub struct Queries {
     pub labels: Vec<f32>,
     /// How much each trial counts: successes and failures of a primitive count the same in a batch.
     pub weights: Vec<f32>,
+    /// Which ways each place can go, for trials and places; `None` where nobody knows.
+    pub ways: Vec<Option<Ways>>,
 }
 
 impl Queries {
@@ -72,6 +75,8 @@ struct View {
     trials: Vec<(usize, usize, [f32; 6], bool)>,
     /// Places as (place, output).
     places: Vec<(usize, usize)>,
+    /// Of the trials, then of the places.
+    ways: Vec<Option<Ways>>,
 }
 
 enum ViewInput {
@@ -147,13 +152,9 @@ impl Source {
         let shard = &self.dataset.shards()[id.shard];
         let mut trials = shard.trials(id.scene)?;
         trials.extend(self.replay.trials(id));
-        let link = shard.link(id.scene);
-        let pixels_of = |wanted: &dyn Fn(u8) -> bool| -> Vec<u32> {
-            (0..link.len() as u32).filter(|&i| wanted(link[i as usize])).collect()
-        };
-        let (fixed, movable) = (pixels_of(&|link| link == 1), pixels_of(&|link| link > 1));
-        let mut questions = questions::choose(&trials, &fixed, &self.model, &self.config, rng);
-        let mut places = questions::places(&fixed, &movable, &self.model, &self.config, rng);
+        let ground = Ground::new(shard.link(id.scene), self.model.modality);
+        let mut questions = questions::choose(&trials, &ground, &self.model, &self.config, rng);
+        let mut places = questions::places(&ground, &self.model, &self.config, rng);
         let mirrored = rng.random::<f32>() < self.config.mirrored;
         if mirrored {
             questions.iter_mut().for_each(Question::mirror);
@@ -172,8 +173,40 @@ impl Source {
             Modality::Rgb => image_view(&shard.rgb(id.scene), &questions, &places, mirrored, &self.model),
             Modality::Cloud => cloud_view(&foreground, &questions, &places, mirrored, &self.model, rng),
         };
-        view.map_err(|source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source })
+        let mut view = view.map_err(|source| DataError::View {
+            path: shard.path().to_owned(),
+            scene: id.scene,
+            source,
+        })?;
+        let pixels = questions.iter().map(|q| q.pixel).chain(places.iter().map(|(pixel, _)| *pixel));
+        view.ways = ways_at(shard, id.scene, pixels, mirrored);
+        Ok(view)
     }
+}
+
+/// The ways of what is seen at some pixels. Nobody knows them where the scanner measured nothing, nor in data that was
+/// collected without them.
+fn ways_at(
+    shard: &Shard,
+    scene: usize,
+    pixels: impl Iterator<Item = Pixel>,
+    mirrored: bool,
+) -> Vec<Option<Ways>> {
+    let (camera, depth, link) = (shard.camera(scene), shard.depth(scene), shard.link(scene));
+    let freedoms = &shard.scenes()[scene].freedoms;
+    let ways_at = |pixel: Pixel| {
+        let i = camera.size.index(pixel);
+        // 0 is the background and 1 the root.
+        if link[i] < 2 {
+            return Some(Ways::default());
+        }
+        let freedom = freedoms.get(usize::from(link[i]) - 2)?;
+        let metres = f32::from(depth[i]) * DEPTH_UNIT;
+        let point = (metres > 0.0).then(|| camera.intrinsics.pixel_to_point(pixel, metres))?;
+        let ways = motion::ways(freedom, &point);
+        Some(ways.map(|way| if mirrored { Vector3::new(-way.x, way.y, way.z) } else { way }))
+    };
+    pixels.map(ways_at).collect()
 }
 
 /// Pixel of the stored picture that shows a pixel of the stored depth map.
@@ -201,6 +234,7 @@ fn image_view(
     Ok(View {
         trials: questions.iter().map(|q| (place(q.pixel), q.output, q.orientation, q.success)).collect(),
         places: places.iter().map(|(pixel, output)| (place(*pixel), *output)).collect(),
+        ways: Vec::new(),
         input: ViewInput::Image(input.values),
     })
 }
@@ -232,6 +266,7 @@ fn cloud_view(
         input: ViewInput::Cloud(cloud, targets),
         trials: questions.iter().enumerate().map(|(i, q)| (i, q.output, q.orientation, q.success)).collect(),
         places: places.iter().enumerate().map(|(i, (_, output))| (n + i, *output)).collect(),
+        ways: Vec::new(),
     })
 }
 
@@ -244,6 +279,7 @@ fn assemble(views: Vec<View>, model: &ModelConfig) -> Batch {
             queries.orientations.push(*orientation);
             queries.labels.push(f32::from(u8::from(*success)));
         }
+        queries.ways.extend(&view.ways[..view.trials.len()]);
     }
     queries.weights = balanced(&queries, model.primitives.len());
     for (v, view) in views.iter().enumerate() {
@@ -251,6 +287,7 @@ fn assemble(views: Vec<View>, model: &ModelConfig) -> Batch {
             queries.places.push((v, *place));
             queries.outputs.push(*output);
         }
+        queries.ways.extend(&view.ways[view.trials.len()..]);
     }
     let count = views.len();
     let (mut pixels, mut clouds, mut targets) = (Vec::new(), Vec::new(), Vec::new());

@@ -9,8 +9,8 @@ use burn::store::ModuleRecord;
 use burn::tensor::Bytes;
 use serde::{Deserialize, Serialize};
 use where2act_core::sha256_hex;
-use where2act_model::Network;
 
+use crate::motion::Learner;
 use crate::replay::Replay;
 
 /// What a checkpoint knows beside weights and optimiser.
@@ -30,7 +30,7 @@ pub struct Progress {
 #[derive(Clone)]
 pub struct State {
     /// What is trained.
-    pub network: Network,
+    pub learner: Learner,
     /// Adam and its moments.
     pub optimiser: ModuleOptimizer,
     /// Newer trials.
@@ -60,7 +60,7 @@ pub enum CheckpointError {
     },
 }
 
-const NETWORK: &str = "network.bpk";
+const LEARNER: &str = "learner.bpk";
 const OPTIMISER: &str = "optimiser.bpk";
 const REPLAY: &str = "replay.cbor";
 const PROGRESS: &str = "progress.json";
@@ -88,9 +88,9 @@ pub fn save(folder: &Path, state: &State) -> Result<PathBuf, CheckpointError> {
     let partial = tempfile::Builder::new().prefix(PARTIAL).tempdir_in(folder).map_err(io)?;
     // Not a clone: burn keeps the last update of the running statistics apart from the parameters of a network that
     // trains, and shares them between clones.
-    let network = state.network.valid().into_record().into_bytes().map_err(|e| damaged(e.to_string()))?;
+    let learner = state.learner.valid().into_record().into_bytes().map_err(|e| damaged(e.to_string()))?;
     let optimiser = state.optimiser.into_bytes().map_err(|e| damaged(e.to_string()))?;
-    write(&partial.path().join(NETWORK), &network).map_err(io)?;
+    write(&partial.path().join(LEARNER), &learner).map_err(io)?;
     write(&partial.path().join(OPTIMISER), &optimiser).map_err(io)?;
     let mut replay = Vec::new();
     ciborium::into_writer(&state.replay, &mut replay).map_err(|e| damaged(e.to_string()))?;
@@ -150,15 +150,15 @@ pub fn load(path: &Path, fresh: State) -> Result<State, CheckpointError> {
     let progress = serde_json::from_slice(&read(PROGRESS)?).map_err(|e| damaged(PROGRESS, e.to_string()))?;
     let replay =
         ciborium::from_reader(read(REPLAY)?.as_slice()).map_err(|e| damaged(REPLAY, e.to_string()))?;
-    let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(read(NETWORK)?))
-        .map_err(|e| damaged(NETWORK, e.to_string()))?;
-    let network = fresh.network.valid().try_load_record(record);
-    let network = network.map_err(|e| damaged(NETWORK, e.to_string()))?.train();
+    let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(read(LEARNER)?))
+        .map_err(|e| damaged(LEARNER, e.to_string()))?;
+    let learner = fresh.learner.valid().try_load_record(record);
+    let learner = learner.map_err(|e| damaged(LEARNER, e.to_string()))?.train();
     let optimiser = fresh
         .optimiser
         .from_bytes(Bytes::from_bytes_vec(read(OPTIMISER)?))
         .map_err(|e| damaged(OPTIMISER, e.to_string()))?;
-    Ok(State { network, optimiser, replay, progress })
+    Ok(State { learner, optimiser, replay, progress })
 }
 
 /// What must be the same for a run to be resumed: its configuration and its data.

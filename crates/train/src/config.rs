@@ -66,6 +66,10 @@ pub struct NetworkConfig {
     /// paper.
     #[serde(default)]
     pub surroundings: bool,
+    /// Directions that the score head predicts at each pixel or point, to see how well a hand is aligned with them. The
+    /// paper has none.
+    #[serde(default)]
+    pub alignments: usize,
 }
 
 /// What one step sees.
@@ -78,8 +82,8 @@ pub struct BatchConfig {
     pub trials_per_view: usize,
     /// Free negatives per trial: the same trial with the approach flipped cannot succeed. The paper adds one each.
     pub flipped: f32,
-    /// Free negatives per trial: the same orientation at a random place of a part that does not move. 0 leaves fixed
-    /// parts out altogether, as the paper does.
+    /// Free negatives per trial: the same orientation at a random place of a part that does not move or, in pictures,
+    /// beside the object. 0 leaves such places out altogether, as the paper does.
     pub fixed: f32,
     /// Share of the views that are shown mirrored.
     pub mirrored: f32,
@@ -141,6 +145,8 @@ pub struct LossConfig {
     pub proposals: usize,
     /// How many of the best of them are averaged; 0 = all (the paper), 5 = the follow-up's rule.
     pub best: usize,
+    /// Difference of the ways that points can go from those the network's features tell. 0 = not asked (the paper).
+    pub motion: f32,
 }
 
 /// New trials where the network is confident, between epochs.
@@ -193,7 +199,15 @@ impl Default for Decay {
 
 impl Default for LossConfig {
     fn default() -> Self {
-        Self { score: 1.0, geodesic: 5.0, kl: 0.02, actionability: 100.0, proposals: 100, best: 0 }
+        Self {
+            score: 1.0,
+            geodesic: 5.0,
+            kl: 0.02,
+            actionability: 100.0,
+            proposals: 100,
+            best: 0,
+            motion: 0.0,
+        }
     }
 }
 
@@ -304,6 +318,7 @@ impl TrainConfig {
         model.name.clone_from(&self.name);
         model.hidden = n.hidden;
         model.latent = n.latent;
+        model.alignments = n.alignments;
         model.surroundings = n.surroundings && n.modality == Modality::Cloud;
         model.preprocessing.scan_candidates = n.candidates;
         model
@@ -351,6 +366,7 @@ impl TrainConfig {
             ("loss.geodesic", loss.geodesic),
             ("loss.kl", loss.kl),
             ("loss.actionability", loss.actionability),
+            ("loss.motion", loss.motion),
         ] {
             check(weight >= 0.0 && weight.is_finite(), field, weight.to_string(), "0 or more")?;
         }

@@ -17,6 +17,7 @@ mod curves;
 mod dataset;
 pub mod evaluate;
 pub mod metrics;
+pub mod motion;
 mod questions;
 mod replay;
 pub mod run;

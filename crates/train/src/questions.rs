@@ -1,11 +1,11 @@
 //! What a view asks the network: trials with known outcomes, and questions whose answer is known without a trial.
 
 use rand::RngExt;
-use rand::seq::SliceRandom;
+use rand::seq::{IndexedRandom, SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use where2act_core::shard::DEPTH_SIDE;
 use where2act_core::{Orientation6, Pixel, Policy, Primitive, Trial};
-use where2act_model::ModelConfig;
+use where2act_model::{Modality, ModelConfig};
 
 use crate::config::BatchConfig;
 
@@ -47,12 +47,42 @@ impl Question {
     }
 }
 
+/// What pixels of the stored depth map show.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Ground {
+    /// Parts that move.
+    movable: Vec<u32>,
+    /// Where nothing moves: parts that do not, and for networks that see them, pixels beside the object.
+    still: [Vec<u32>; 2],
+}
+
+impl Ground {
+    pub(crate) fn new(link: &[u8], modality: Modality) -> Self {
+        let mut ground = Self::default();
+        for (i, link) in (0..).zip(link) {
+            match (link, modality) {
+                (0, Modality::Cloud) => {}
+                (0, Modality::Rgb) => ground.still[1].push(i),
+                (1, _) => ground.still[0].push(i),
+                _ => ground.movable.push(i),
+            }
+        }
+        ground
+    }
+
+    /// A pixel where nothing moves; each kind as likely, however large it is.
+    fn still(&self, rng: &mut ChaCha8Rng) -> Option<Pixel> {
+        let first = usize::from(rng.random::<bool>());
+        any(&self.still[first], rng).or_else(|| any(&self.still[1 - first], rng))
+    }
+}
+
 /// Successes and failures of each primitive, half and half as far as they last, and free negatives: the approach
-/// flipped out of the surface, or the same orientation somewhere on a part that does not move. Trials that the network
-/// itself proposed come first, because they show where it is wrong.
+/// flipped out of the surface, or the same orientation somewhere where nothing moves. Trials that the network itself
+/// proposed come first, because they show where it is wrong.
 pub(crate) fn choose(
     trials: &[Trial],
-    fixed: &[u32],
+    ground: &Ground,
     model: &ModelConfig,
     config: &BatchConfig,
     rng: &mut ChaCha8Rng,
@@ -80,38 +110,37 @@ pub(crate) fn choose(
             flipped.orientation[..3].iter_mut().for_each(|x| *x = -*x);
             free.push(flipped);
         }
-        if rng.random::<f32>() < config.fixed && !fixed.is_empty() {
-            free.push(Question { success: false, pixel: any(fixed, rng), ..*question });
+        if rng.random::<f32>() < config.fixed
+            && let Some(pixel) = ground.still(rng)
+        {
+            free.push(Question { success: false, pixel, ..*question });
         }
     }
     chosen.extend(free);
     chosen
 }
 
-/// Further places as (pixel, output): on movable parts, and as often on fixed ones if those are asked about at all.
+/// Further places as (pixel, output): on movable parts, and as often where nothing moves if that is asked at all.
 pub(crate) fn places(
-    fixed: &[u32],
-    movable: &[u32],
+    ground: &Ground,
     model: &ModelConfig,
     config: &BatchConfig,
     rng: &mut ChaCha8Rng,
 ) -> Vec<(Pixel, usize)> {
     let mut places = Vec::new();
     for _ in 0..config.places_per_view {
-        let of_fixed = config.fixed > 0.0 && rng.random();
-        let pixels = if of_fixed { fixed } else { movable };
+        let nothing_moves = config.fixed > 0.0 && rng.random();
+        let pixel = if nothing_moves { ground.still(rng) } else { any(&ground.movable, rng) };
         let output = rng.random_range(0..model.primitives.len());
-        if !pixels.is_empty() {
-            places.push((any(pixels, rng), output));
-        }
+        places.extend(pixel.map(|pixel| (pixel, output)));
     }
     places
 }
 
-/// One of some pixel indices.
-fn any(pixels: &[u32], rng: &mut ChaCha8Rng) -> Pixel {
-    let i = pixels[rng.random_range(0..pixels.len())];
-    Pixel { u: i % DEPTH_SIDE as u32, v: i / DEPTH_SIDE as u32 }
+/// One of some pixel indices, if there are any.
+fn any(pixels: &[u32], rng: &mut ChaCha8Rng) -> Option<Pixel> {
+    let i = pixels.choose(rng)?;
+    Some(Pixel { u: i % DEPTH_SIDE as u32, v: i / DEPTH_SIDE as u32 })
 }
 
 #[cfg(test)]
@@ -119,7 +148,6 @@ mod tests {
     use super::*;
     use nalgebra::{Point3, Vector3};
     use where2act_core::{Grasp, Seed, Verdict};
-    use where2act_model::Modality;
 
     fn trial(primitive: Primitive, policy: Policy, success: bool) -> Trial {
         let grasp = Grasp::new(Point3::origin(), Vector3::new(0.3, -0.5, 0.8), Vector3::new(0.9, 0.1, 0.2));
@@ -165,14 +193,25 @@ mod tests {
             pixel: Pixel { u: 1, v: 1 },
             ..trial(Primitive::Pushing, Policy::Adaptive, false)
         });
-        let fixed = [448 * 5 + 3];
-        let questions = choose(&trials, &fixed, &model, &config, &mut Seed(1).rng());
+        // Pixel 0 moves, the rest of the first five rows is background.
+        let mut link = vec![0; 448 * 5 + 4];
+        (link[0], link[448 * 5 + 3]) = (2, 1);
+        let ground = Ground::new(&link, Modality::Cloud);
+        let questions = choose(&trials, &ground, &model, &config, &mut Seed(1).rng());
         assert_eq!(questions.len(), 12);
         assert_eq!(questions.iter().filter(|q| q.success).count(), 2);
         assert!(questions[..4].iter().any(|q| q.pixel == Pixel { u: 1, v: 1 } && !q.success));
         assert_eq!(questions[4..].iter().filter(|q| q.pixel == Pixel { u: 3, v: 5 }).count(), 4);
-        let places = places(&fixed, &[0], &model, &config, &mut Seed(2).rng());
-        let of_fixed = places.iter().filter(|(p, _)| *p == Pixel { u: 3, v: 5 }).count();
-        assert!(places.len() == config.places_per_view && of_fixed > 0 && of_fixed < places.len());
+        let of_fixed = |ground: &Ground| {
+            let places = places(ground, &model, &config, &mut Seed(2).rng());
+            assert_eq!(places.len(), config.places_per_view);
+            let moving = places.iter().filter(|(p, _)| *p == Pixel { u: 0, v: 0 }).count();
+            let fixed = places.iter().filter(|(p, _)| *p == Pixel { u: 3, v: 5 }).count();
+            (fixed, places.len() - fixed - moving)
+        };
+        let (fixed, beside) = of_fixed(&ground);
+        assert!((1..config.places_per_view).contains(&fixed) && beside == 0);
+        let (of_part, beside) = of_fixed(&Ground::new(&link, Modality::Rgb));
+        assert!(of_part > 0 && beside > 0 && of_part < fixed, "a picture shows the background too");
     }
 }

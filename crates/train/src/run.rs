@@ -16,7 +16,9 @@ use serde::Serialize;
 use where2act_core::shard::Manifest;
 use where2act_core::{Policy, Trial, write_whole};
 use where2act_model::preprocess::{CloudInput, CloudScale};
-use where2act_model::{Modality, ModelConfig, Network, Precision, Weights, WeightsError, save_weights};
+use where2act_model::{
+    Modality, ModelConfig, Network, Precision, Weights, WeightsError, draw_weights, save_weights,
+};
 
 use crate::adaptive;
 use crate::batch::{Batch, Source};
@@ -24,6 +26,7 @@ use crate::checkpoint::{self, CheckpointError, Progress, State};
 use crate::config::{ConfigError, TrainConfig};
 use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
+use crate::motion::{Learner, MotionHead};
 use crate::replay::Replay;
 use crate::split::Part;
 use crate::step::{Losses, Phase, forward};
@@ -111,6 +114,8 @@ pub struct StepReport {
     pub kl: Option<f32>,
     /// Squared error of the actionability.
     pub actionability: Option<f32>,
+    /// Difference of the ways that points can go.
+    pub motion: Option<f32>,
     /// Learning rate.
     pub rate: f64,
     /// Seconds by stage.
@@ -205,7 +210,7 @@ pub fn train<'a>(
     let model = with_scan_radius(config, &dataset, &train_scenes)?;
     let weight_decay = WeightDecayConfig::new(config.schedule.weight_decay);
     let fresh = State {
-        network: first_weights(config, &model, &device.clone().autodiff())?,
+        learner: first_weights(config, &model, &device.clone().autodiff())?,
         optimiser: AdamConfig::new().with_weight_decay(Some(weight_decay)).init(),
         replay: Replay::new(config.adaptive.buffer),
         progress: Progress { fingerprint: fingerprint.clone(), ..Progress::default() },
@@ -317,18 +322,18 @@ impl Run<'_> {
         let mut secs = StageSecs { reading, ..StageSecs::default() };
         let mut watch = Instant::now();
         let mut lap = || std::mem::replace(&mut watch, Instant::now()).elapsed().as_secs_f64();
-        let losses = forward(&self.state.network, batch, phase, &self.config.loss, &mut rng);
+        let losses = forward(&self.state.learner, batch, phase, &self.config.loss, &mut rng);
         let total = losses.total(&self.config.loss);
         let loss = number(&total);
         secs.forward = lap();
         if !loss.is_finite() || loss > EXPLODED {
             return Err(TrainError::Diverged { step, loss, last_good: self.last_checkpoint.clone() });
         }
-        let gradients = GradientsParams::from_grads(total.backward(), &self.state.network);
+        let gradients = GradientsParams::from_grads(total.backward(), &self.state.learner);
         secs.backward = lap();
         let rate = self.config.rate(step);
-        let network = self.state.network.clone();
-        self.state.network = self.state.optimiser.step(rate, network, gradients);
+        let learner = self.state.learner.clone();
+        self.state.learner = self.state.optimiser.step(rate, learner, gradients);
         secs.optimiser = lap();
         self.state.progress.step = step + 1;
         let report = report(self.config, step + 1, loss, &losses, rate, secs);
@@ -338,7 +343,7 @@ impl Run<'_> {
     }
 
     fn end_epoch(&mut self, epoch: usize) -> Result<(), TrainError> {
-        let network = self.state.network.clone().valid();
+        let network = self.state.learner.network.clone().valid();
         let seed = self.config.root_seed();
         let validation = validate(&network, &self.dataset, &self.validation_scenes, seed)?;
         let joint = self.state.progress.step > self.config.schedule.score_steps;
@@ -414,6 +419,7 @@ fn report(
         geodesic: read(&losses.geodesic),
         kl: read(&losses.kl),
         actionability: read(&losses.actionability),
+        motion: read(&losses.motion),
         rate,
         secs,
     }
@@ -435,9 +441,11 @@ fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result
 }
 
 /// The weights to start from: random ones, or those that the configuration names.
-fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> Result<Network, TrainError> {
+fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> Result<Learner, TrainError> {
+    let seed = config.root_seed().child("weights", 0);
+    let motion = (config.loss.motion > 0.0).then(|| draw_weights(MotionHead::new(model, device), seed));
     let Some(folder) = &config.from else {
-        return Ok(Network::new(model, config.root_seed().child("weights", 0), device));
+        return Ok(Learner { network: Network::new(model, seed, device), motion });
     };
     let network = Weights::load(folder, device)?.network;
     // What does not change the shape of any parameter may differ.
@@ -451,7 +459,7 @@ fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> 
     if comparable != *model {
         return Err(TrainError::OtherNetwork { path: folder.clone() });
     }
-    Ok(network.with_config(|own| *own = model.clone()))
+    Ok(Learner { network: network.with_config(|own| *own = model.clone()), motion })
 }
 
 /// The network's description with the sizes of clouds that training will see.

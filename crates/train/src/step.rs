@@ -12,6 +12,7 @@ use where2act_model::{Choice, Heads, Input, Network, to_axes};
 
 use crate::batch::{Batch, BatchInput, Queries};
 use crate::config::LossConfig;
+use crate::motion::{Learner, difference};
 
 /// Losses of a step before they are weighted. They stay tensors until somebody wants to read them.
 #[derive(Clone, Debug)]
@@ -24,6 +25,8 @@ pub struct Losses {
     pub kl: Option<Tensor<1>>,
     /// Squared error of the actionability; `None` in the score phase.
     pub actionability: Option<Tensor<1>>,
+    /// Difference of the ways that points can go; `None` if it is not asked.
+    pub motion: Option<Tensor<1>>,
 }
 
 impl Losses {
@@ -35,6 +38,7 @@ impl Losses {
             (&self.geodesic, weights.geodesic),
             (&self.kl, weights.kl),
             (&self.actionability, weights.actionability),
+            (&self.motion, weights.motion),
         ];
         for (loss, weight) in further {
             if let Some(loss) = loss {
@@ -57,7 +61,7 @@ pub enum Phase {
 /// Forward pass of a batch and its losses.
 #[must_use]
 pub fn forward(
-    network: &Network,
+    Learner { network, motion }: &Learner,
     batch: &Batch,
     phase: Phase,
     config: &LossConfig,
@@ -82,8 +86,12 @@ pub fn forward(
     let labels = Tensor::from_floats(queries.labels.as_slice(), &device);
     let weights = Tensor::from_floats(queries.weights.as_slice(), &device);
     let score = weighted_mean(binary_cross_entropy(logits, labels), weights);
+    let motion = motion.as_ref().map(|head| {
+        let (ways, known) = true_ways(queries, &device);
+        weighted_mean(difference(head.forward(features.clone()), ways), known)
+    });
     if phase == Phase::Score {
-        return Losses { score, geodesic: None, kl: None, actionability: None };
+        return Losses { score, geodesic: None, kl: None, actionability: None, motion };
     }
 
     let (geodesic, kl) = reconstruction(network, queries, of_trials, &orientations, rng);
@@ -92,7 +100,16 @@ pub fn forward(
         actionability_target(&network.heads.clone().valid(), features.clone().inner(), queries, config, rng);
     let guess = choice.pick(network.heads.actionability.forward(features));
     let actionability = squared_error(guess, Tensor::from_inner(target).detach()).sum() / all.max(1) as f32;
-    Losses { score, geodesic, kl, actionability: Some(actionability) }
+    Losses { score, geodesic, kl, actionability: Some(actionability), motion }
+}
+
+/// The ways of all queries, `[q, 2, 3]`, and where they are known, `[q]`.
+fn true_ways(queries: &Queries, device: &Device) -> (Tensor<3>, Tensor<1>) {
+    let known: Vec<f32> = queries.ways.iter().map(|ways| f32::from(u8::from(ways.is_some()))).collect();
+    let flat: Vec<f32> =
+        queries.ways.iter().flat_map(|ways| ways.unwrap_or_default()).flat_map(<[f32; 3]>::from).collect();
+    let ways = Tensor::from_data(TensorData::new(flat, [known.len(), 2, 3]), device);
+    (ways, Tensor::from_floats(known.as_slice(), device))
 }
 
 /// Orientations of the trials, `[trials, 6]`.
@@ -154,8 +171,9 @@ fn actionability_target(
         queries.outputs.iter().flat_map(|&output| std::iter::repeat_n(output, proposals)).collect();
     let choice = Choice::new(&repeated, outputs, &device);
     let axes = to_axes(choice.pick_rows(raw.reshape([q * proposals, outputs, 6])));
+    let hands = heads.score.hands(features.clone(), axes.reshape([q, proposals, 6]));
     let halves = heads.score.feature_half(features).unsqueeze_dim::<3>(1)
-        + heads.score.orientation_half(axes).reshape([q, proposals, hidden]);
+        + heads.score.hand_half(hands).reshape([q, proposals, hidden]);
     let logits = choice.pick(heads.score.from_halves(halves.reshape([q * proposals, hidden])));
     let scores = sigmoid(logits).reshape([q, proposals]);
     if config.best == 0 {

@@ -30,7 +30,9 @@ pub(crate) struct DecodingHeads {
     proposals: Vec<Mlp>,
     /// Feature -> its share of the score's hidden layer.
     score_feature: Mlp,
-    /// Orientation -> logit, per primitive.
+    /// Feature -> of every alignment the weights of a hand's approach, forward and left; `None` without alignments.
+    align: Option<Mlp>,
+    /// Orientation and alignments -> logit, per primitive.
     scores: Vec<Mlp>,
 }
 
@@ -49,6 +51,11 @@ impl DecodingHeads {
         let (proposal_feature, proposals) =
             head.split(&heads.proposal.decoder.mlp1, &heads.proposal.decoder.mlp2)?;
         let (score_feature, scores) = head.split(&heads.score.mlp1, &heads.score.mlp2)?;
+        let align = heads
+            .score
+            .align
+            .as_ref()
+            .map(|align| head.mlp(features, &[Plain::of(align)?.layer(Activation::Identity)]));
         let a = &heads.actionability;
         let layers = [Plain::of(&a.mlp1)?.widened(hidden), Plain::of(&a.mlp2)?.deepened(hidden)];
         let actionability =
@@ -62,6 +69,7 @@ impl DecodingHeads {
             proposal_feature,
             proposals,
             score_feature,
+            align: align.transpose()?,
             scores,
         })
     }
@@ -113,12 +121,33 @@ impl DecodingHeads {
         let rotations: Vec<Rotation3<f32>> =
             raw.as_chunks().0.iter().map(|six| Orientation6(*six).to_rotation()).collect();
 
-        let axes: Vec<f32> = rotations.iter().flat_map(|r| Orientation6::from_rotation(r).0).collect();
+        let hands = self.hands(&own, &rotations, samples)?;
         run(&self.score_feature, &own, None, &mut half)?;
         let mut logits = vec![0.0; rows.len()];
-        run(score, &axes, Some((&half, &rows)), &mut logits)?;
+        run(score, &hands, Some((&half, &rows)), &mut logits)?;
         let tried: Vec<Tried> = rotations.into_iter().zip(logits.into_iter().map(sigmoid)).collect();
         Ok(tried.chunks(samples.max(1)).map(<[Tried]>::to_vec).collect())
+    }
+
+    /// What the score sees of hands, `each` of them at every feature: `[rotations, 6 + alignments]`.
+    fn hands(&self, features: &[f32], rotations: &[Rotation3<f32>], each: usize) -> Result<Vec<f32>, Error> {
+        let axes = rotations.iter().map(|r| Orientation6::from_rotation(r).0);
+        let Some(align) = &self.align else { return Ok(axes.flatten().collect()) };
+        let width = align.outputs();
+        let mut weights = vec![0.0; features.len() / self.features * width];
+        run(align, features, None, &mut weights)?;
+        let mut hands = Vec::with_capacity(rotations.len() * (6 + width / 9));
+        for (i, (rotation, axes)) in rotations.iter().zip(axes).enumerate() {
+            hands.extend(axes);
+            let left: [f32; 3] = rotation.matrix().column(1).into();
+            for weights in weights[i / each * width..][..width].as_chunks::<9>().0 {
+                let weighted = |axes: &[f32], weights: &[f32]| -> f32 {
+                    axes.iter().zip(weights).map(|(a, w)| a * w).sum()
+                };
+                hands.push(weighted(&axes, &weights[..6]) + weighted(&left, &weights[6..]));
+            }
+        }
+        Ok(hands)
     }
 }
 
@@ -226,7 +255,7 @@ mod tests {
     fn decoding_equals_the_heads_of_the_model() {
         let device = Device::flex();
         let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL[1..4]);
-        (config.hidden, config.latent) = (40, 7);
+        (config.hidden, config.latent, config.alignments) = (40, 7, 5);
         let network = Network::new(&config, Seed(3), &device);
         let heads = DecodingHeads::new(&network.heads, &config).unwrap();
         let rows = 50;

@@ -91,26 +91,6 @@ impl Plain {
             Self { weights: first.to_vec(), bias: vec![0.0; outputs], activation: Activation::Identity };
         (first, Self { weights: second.to_vec(), ..self })
     }
-
-    /// The same with outputs that are always zero, up to a multiple of 16: what a lookup needs.
-    pub(super) fn padded(self) -> Self {
-        let outputs = self.bias.len().max(1);
-        let wide = outputs.next_multiple_of(16);
-        let mut weights = Vec::with_capacity(self.weights.len() / outputs * wide);
-        for row in self.weights.chunks_exact(outputs) {
-            weights.extend_from_slice(row);
-            weights.resize(weights.len() + wide - outputs, 0.0);
-        }
-        let mut bias = self.bias;
-        bias.resize(wide, 0.0);
-        Self { weights, bias, ..self }
-    }
-
-    /// The same with inputs that do not count.
-    pub(super) fn with_inputs(mut self, inputs: usize) -> Self {
-        self.weights.resize(inputs * self.bias.len(), 0.0);
-        self
-    }
 }
 
 /// Layers compiled to one MLP on `inputs` values.

@@ -5,7 +5,6 @@
 
 mod cloud;
 mod fold;
-mod heads;
 #[cfg(test)]
 mod tests;
 
@@ -19,7 +18,6 @@ use where2act_kernels::{AlignedBuf, Isa, ShapeError};
 use crate::network::{Backbone, Network};
 use crate::pointnet::Hierarchy;
 use cloud::CloudEngine;
-pub use heads::EngineHeads;
 
 /// Why a network cannot be compiled, or an input not be taken.
 #[derive(Debug, thiserror::Error)]
@@ -46,7 +44,6 @@ pub enum EngineError {
 /// A network compiled for prediction.
 pub struct Engine {
     backbone: Compiled,
-    heads: EngineHeads,
     isa: Isa,
     memory: Mutex<Vec<UNetMemory>>,
     outputs: Mutex<Vec<AlignedBuf>>,
@@ -117,8 +114,7 @@ impl Engine {
             }
             Backbone::PointNet2(net) => Compiled::Cloud(CloudEngine::new(isa, net)?),
         };
-        let heads = EngineHeads::new(isa, &network.heads)?;
-        Ok(Self { backbone, heads, isa, memory: Mutex::default(), outputs: Mutex::default() })
+        Ok(Self { backbone, isa, memory: Mutex::default(), outputs: Mutex::default() })
     }
 
     /// Checks a precision by name: `f32` is what this engine computes in.
@@ -142,12 +138,6 @@ impl Engine {
             Compiled::Rgb(unet) => unet.features(),
             Compiled::Cloud(net) => net.features(),
         }
-    }
-
-    /// The heads.
-    #[must_use]
-    pub fn heads(&self) -> &EngineHeads {
-        &self.heads
     }
 
     /// Features of every pixel, row by row.

@@ -93,51 +93,6 @@ fn clouds_give_what_burn_gives() {
 }
 
 #[test]
-fn heads_give_what_burn_gives() {
-    // A hidden layer off the blocks of 16.
-    let network = network(Modality::Cloud, |config| ModelConfig { hidden: 100, ..config });
-    let (n, each) = (37, 5);
-    let features = noise(n * 128);
-    let (z, orientations) = (noise(n * each * 10), noise(n * each * 6));
-    let tensor = |values: &[f32], width: usize| {
-        Tensor::<2>::from_data(
-            TensorData::new(values.to_vec(), [values.len() / width, width]),
-            &Device::flex(),
-        )
-    };
-    let of_row: Vec<i64> = (0..n * each).map(|i| (i / each) as i64).collect();
-    let repeated: Vec<f32> =
-        of_row.iter().flat_map(|row| features[*row as usize * 128..][..128].to_vec()).collect();
-    let heads = &network.heads;
-    let expected = [
-        fold::values(heads.actionability.forward(tensor(&features, 128))),
-        fold::values(heads.score.forward(tensor(&repeated, 128), tensor(&orientations, 6))),
-        fold::values(heads.proposal.decode(tensor(&repeated, 128), tensor(&z, 10))),
-    ];
-    let engine = Engine::compile(&network).unwrap();
-    let heads = engine.heads();
-    let dense = |mlp: &where2act_kernels::Mlp, rows: &[f32]| {
-        let mut output = vec![0.0; rows.len() / mlp.inputs() * mlp.outputs()];
-        mlp.run(MlpInput { rows, lookup: None, pool: 1 }, &mut output).unwrap();
-        output
-    };
-    let looked_up = |mlp: &where2act_kernels::Mlp, rows: &[f32], table: &[f32]| {
-        let mut output = vec![0.0; n * each * mlp.outputs()];
-        let lookup = Some(Lookup { table, rows: &of_row, weights: None, each: 1 });
-        mlp.run(MlpInput { rows, lookup, pool: 1 }, &mut output).unwrap();
-        output
-    };
-    let found = [
-        dense(&heads.actionability, &features),
-        looked_up(&heads.score, &orientations, &dense(&heads.score_feature, &features)),
-        looked_up(&heads.proposal, &z, &dense(&heads.proposal_feature, &features)),
-    ];
-    for (expected, found) in expected.iter().zip(&found) {
-        assert!(error(expected, found) < 1e-4);
-    }
-}
-
-#[test]
 fn many_threads_share_an_engine() {
     let network = network(Modality::Rgb, |config| config.with_width(0.25));
     let engine = Engine::compile(&network).unwrap();

@@ -19,6 +19,7 @@ use crate::layers::linear;
 pub use actionability::ActionabilityHead;
 pub use proposal::{Code, ProposalDecoder, ProposalEncoder, ProposalHead};
 pub use rotation::{rotation_matrix, to_axes};
+pub(crate) use score::ALIGNED;
 pub use score::ScoreHead;
 
 /// The three heads.

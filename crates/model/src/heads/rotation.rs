@@ -73,7 +73,7 @@ fn any_orthogonal(z: &Tensor<2>, device: &Device) -> Tensor<2> {
     unit(without(helper, &z))
 }
 
-fn cross(a: &Tensor<2>, b: &Tensor<2>) -> Tensor<2> {
+pub(super) fn cross(a: &Tensor<2>, b: &Tensor<2>) -> Tensor<2> {
     let [n, _] = a.dims();
     let at = |v: &Tensor<2>, i: usize| v.clone().slice([0..n, i..i + 1]);
     let minor = |i, j| at(a, i) * at(b, j) - at(a, j) * at(b, i);

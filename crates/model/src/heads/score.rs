@@ -5,13 +5,24 @@ use burn::nn::Linear;
 use burn::tensor::{Device, Tensor};
 
 use super::SplitLinear;
+use super::rotation::cross;
 use crate::config::ModelConfig;
 use crate::layers::{leaky, linear};
 
+/// Numbers of a hand that an alignment weighs: its approach, forward and left axes.
+pub(crate) const ALIGNED: usize = 9;
+
 /// Feature and orientation -> one logit per primitive.
+///
+/// A hidden layer on the sum of what feature and orientation say is slow to learn how well a hand is aligned with what
+/// the feature knows of the joint: that is a product of both. With alignments, the feature says which weights the
+/// hand's axes have, and the hidden layer sees their weighted sums beside the orientation.
 #[derive(Module, Debug)]
 pub struct ScoreHead {
-    /// Weight `[features + 6, hidden]`.
+    /// Weight `[features, 9 * alignments]`: of each alignment the weights of approach, forward and left. `None` in the
+    /// published network.
+    pub align: Option<Linear>,
+    /// Weight `[features + 6 + alignments, hidden]`.
     pub mlp1: SplitLinear,
     /// Weight `[hidden, primitives]`.
     pub mlp2: Linear,
@@ -19,8 +30,10 @@ pub struct ScoreHead {
 
 impl ScoreHead {
     pub(crate) fn new(config: &ModelConfig, device: &Device) -> Self {
+        let (features, alignments) = (config.features, config.alignments);
         Self {
-            mlp1: SplitLinear::new(config.features, 6, config.hidden, device),
+            align: (alignments > 0).then(|| linear(features, ALIGNED * alignments, true, device)),
+            mlp1: SplitLinear::new(features, 6 + alignments, config.hidden, device),
             mlp2: linear(config.hidden, config.primitives.len(), true, device),
         }
     }
@@ -33,7 +46,25 @@ impl ScoreHead {
     /// - output: `[q, primitives]`
     #[must_use]
     pub fn forward(&self, features: Tensor<2>, orientations: Tensor<2>) -> Tensor<2> {
-        self.from_halves(self.feature_half(features) + self.orientation_half(orientations))
+        let hands = self.hands(features.clone(), orientations.unsqueeze_dim(1));
+        self.from_halves(self.feature_half(features) + self.hand_half(hands))
+    }
+
+    /// What the hidden layer sees of hands: their orientations and how they are aligned.
+    ///
+    /// # Shapes
+    /// `[n, features]`, orthonormal axes `[n, each, 6]` -> `[n * each, 6 + alignments]`
+    #[must_use]
+    pub fn hands(&self, features: Tensor<2>, orientations: Tensor<3>) -> Tensor<2> {
+        let [n, each, _] = orientations.dims();
+        let axes = orientations.reshape([n * each, 6]);
+        let Some(align) = &self.align else { return axes };
+        let left = cross(&axes.clone().narrow(1, 0, 3), &axes.clone().narrow(1, 3, 3));
+        let all = Tensor::cat(vec![axes.clone(), left], 1).reshape([n, each, ALIGNED]);
+        let weights = align.forward(features);
+        let alignments = weights.dims()[1] / ALIGNED;
+        let aligned = all.matmul(weights.reshape([n, alignments, ALIGNED]).transpose());
+        Tensor::cat(vec![axes, aligned.reshape([n * each, alignments])], 1)
     }
 
     /// What the feature adds to the hidden layer: once per pixel, for any number of orientations.
@@ -45,13 +76,13 @@ impl ScoreHead {
         self.mlp1.feature_half(features)
     }
 
-    /// What the orientation adds to the hidden layer.
+    /// What hands add to the hidden layer.
     ///
     /// # Shapes
-    /// `[n, 6]` -> `[n, hidden]`
+    /// `[n, 6 + alignments]`, of [`Self::hands`] -> `[n, hidden]`
     #[must_use]
-    pub fn orientation_half(&self, orientations: Tensor<2>) -> Tensor<2> {
-        self.mlp1.other_half(orientations)
+    pub fn hand_half(&self, hands: Tensor<2>) -> Tensor<2> {
+        self.mlp1.other_half(hands)
     }
 
     /// Logits from the sum of both halves, broadcast as the caller likes.

@@ -83,17 +83,19 @@ fn rotations_of_both_backends_and_of_the_core_are_the_same() {
 #[test]
 fn halves_make_the_whole_and_each_primitive_has_its_own_output() {
     let device = Device::flex();
-    let config = ModelConfig::new(Modality::Cloud, &Primitive::ALL);
+    let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL);
+    config.alignments = 3;
     let heads = Network::new(&config, Seed(3), &device).heads;
     let random = |shape: [usize; 2]| Tensor::<2>::random(shape, Distribution::Normal(0.0, 1.0), &device);
-    let (features, orientations, z) = (random([5, 128]), random([5, 6]), random([5, 10]));
+    let (features, orientations, z) = (random([5, 128]), to_axes(random([5, 6])), random([5, 10]));
 
     let whole = heads.score.forward(features.clone(), orientations.clone());
     assert_eq!(whole.dims(), [5, 6]);
-    // One feature with all orientations at once.
+    // Each feature with all orientations at once.
     let feature = heads.score.feature_half(features.clone()).reshape([5, 1, 128]);
-    let all = heads.score.orientation_half(orientations.clone()).reshape([1, 5, 128]);
-    let every = heads.score.from_halves(feature + all);
+    let all = orientations.clone().unsqueeze_dim::<3>(0).expand([5, 5, 6]);
+    let hands = heads.score.hand_half(heads.score.hands(features.clone(), all)).reshape([5, 5, 128]);
+    let every = heads.score.from_halves(feature + hands);
     let diagonal: Vec<f32> = values(every).chunks_exact(6).step_by(6).flatten().copied().collect();
     assert!(furthest(&diagonal, &values(whole.clone())) < 1e-5);
 

@@ -3,13 +3,13 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use nalgebra::Point3;
+use nalgebra::{Isometry3, Point3};
 use rand::RngExt;
 use where2act_core::Seed;
-use where2act_core::shard::SceneInfo;
+use where2act_core::shard::{Freedom, SceneInfo};
 
 use super::{CollectError, Recipe};
-use crate::object::{self, Object};
+use crate::object::{self, JointKind, Object};
 use crate::render::{Look, View, render, sample_camera, visible_bounds};
 use crate::scene::{Scene, SettledScene};
 
@@ -73,8 +73,9 @@ impl Preparer {
             let scene = Scene::sample(Arc::clone(&object), &mut seed.child("pose", 0).rng());
             let Ok(settled) = scene.settle() else { continue };
             let Some(view) = self.look_at(&settled, seed) else { continue };
-            let q = settled.q().to_vec();
-            let info = SceneInfo { index, seed, object: name, category: object.category, q };
+            let (q, category) = (settled.q().to_vec(), object.category);
+            let freedoms = freedoms(&settled, &view.camera.camera_from_world());
+            let info = SceneInfo { index, seed, object: name, category, q, freedoms };
             return Ok(Some(ScenePrep { info, settled, view }));
         }
         Ok(None)
@@ -126,4 +127,21 @@ impl Preparer {
         recent.truncate(KEPT_OBJECTS);
         Ok(object)
     }
+}
+
+/// How every movable link can move, seen from a camera.
+fn freedoms(settled: &SettledScene, camera_from_world: &Isometry3<f32>) -> Vec<Freedom> {
+    let (object, q, poses) = (settled.object(), settled.q(), settled.world_from_links());
+    let of_link = |link: usize| {
+        let joint = object.joint(link);
+        let camera_from_link = camera_from_world * poses[link];
+        let (low, high) = joint.limits;
+        Freedom {
+            turns: joint.kind != JointKind::Prismatic,
+            axis: camera_from_link * joint.axis,
+            point: camera_from_link * Point3::origin(),
+            room: [(q[link - 1] - low).max(0.0), (high - q[link - 1]).max(0.0)],
+        }
+    };
+    object.movable().map(of_link).collect()
 }

@@ -246,9 +246,12 @@ fn judge(
 
 fn show(report: &StepReport) -> String {
     let mut text = format!("loss {:.3}, score {:.3}", report.loss, report.score);
-    for (name, value) in
-        [("angle", report.geodesic), ("kl", report.kl), ("actionability", report.actionability)]
-    {
+    for (name, value) in [
+        ("angle", report.geodesic),
+        ("kl", report.kl),
+        ("actionability", report.actionability),
+        ("motion", report.motion),
+    ] {
         if let Some(value) = value {
             text += &format!(", {name} {value:.3}");
         }

@@ -53,6 +53,13 @@ pub(crate) fn board(index: u64) -> SceneRecord {
             object: format!("Door:{index}"),
             category: Some(Category::Door),
             q: vec![0.0],
+            // It can be pushed away from the camera.
+            freedoms: vec![Freedom {
+                turns: false,
+                axis: Vector3::z_axis(),
+                point: Point3::origin(),
+                room: [0.0, 0.3],
+            }],
         },
         camera,
         rgb: (0..RGB_SIDE * RGB_SIDE).map(|i| [(i / RGB_SIDE) as u8, 128, (i % RGB_SIDE) as u8]).collect(),
