@@ -4,7 +4,7 @@
 use burn::module::Module;
 use burn::nn::{Initializer, Linear, LinearConfig};
 use burn::tensor::activation::leaky_relu;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Point3, Vector3};
 use where2act_core::Verdict;
 use where2act_core::shard::Freedom;
@@ -40,7 +40,8 @@ const LEAK: f64 = 0.01;
 
 impl MotionHead {
     /// A head for the features of a network, with weights that wait to be drawn.
-    pub(crate) fn new(config: &ModelConfig, device: &Device) -> Self {
+    #[must_use]
+    pub fn new(config: &ModelConfig, device: &Device) -> Self {
         let linear = |inputs, outputs| {
             LinearConfig::new(inputs, outputs).with_initializer(Initializer::Zeros).init(device)
         };
@@ -72,8 +73,8 @@ pub(crate) fn ways(freedom: &Freedom, point: &Point3<f32>) -> Ways {
 pub(crate) fn difference(thought: Tensor<3>, true_ways: Tensor<3>) -> Tensor<1> {
     let directions = directions();
     let [q, _, _] = thought.dims();
-    let all = Tensor::<2>::from_floats(directions.concat().as_slice(), &thought.device());
-    let all = all.reshape([directions.len(), 3]).transpose();
+    let all = TensorData::new(directions.concat(), [directions.len(), 3]);
+    let all = Tensor::<2>::from_data(all, &thought.device()).transpose();
     let reach =
         |ways: Tensor<3>| ways.reshape([2 * q, 3]).matmul(all.clone()).reshape([q, 2, directions.len()]);
     let furthest = |ways: Tensor<3>| reach(ways).max_dim(1).reshape([q, directions.len()]);

@@ -16,6 +16,7 @@ use where2act_core::{Category, Primitive, Seed};
 use where2act_model::{Network, StoredTensor, Weights};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Recipe};
 use where2act_train::checkpoint::{self, Progress, State};
+use where2act_train::motion::{Learner, MotionHead};
 use where2act_train::{Part, Replay};
 
 const CONFIG: &str = "name = 'interrupted'
@@ -27,6 +28,7 @@ hidden = 16
 latent = 4
 points = 256
 candidates = 256
+alignments = 2
 [batch]
 views = 2
 trials_per_view = 16
@@ -36,6 +38,7 @@ joint_steps = 22
 epoch_steps = 5
 [loss]
 proposals = 8
+motion = 1.0
 [adaptive]
 enabled = true
 scenes = 1
@@ -104,12 +107,15 @@ fn last_tensors(run: &Path) -> BTreeMap<String, StoredTensor> {
     let device = Device::flex();
     let config = Weights::load(&run.join("weights"), &device).unwrap().network.config().clone();
     let fresh = State {
-        network: Network::new(&config, Seed(0), &device.autodiff()),
+        learner: Learner {
+            network: Network::new(&config, Seed(0), &device.clone().autodiff()),
+            motion: Some(MotionHead::new(&config, &device.autodiff())),
+        },
         optimiser: AdamConfig::new().init(),
         replay: Replay::new(10),
         progress: Progress::default(),
     };
-    checkpoint::load(&newest_checkpoint(run), fresh).unwrap().network.tensors().by_name
+    checkpoint::load(&newest_checkpoint(run), fresh).unwrap().learner.network.tensors().by_name
 }
 
 #[test]

@@ -33,6 +33,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             latent: 4,
             points: 256,
             surroundings: false,
+            alignments: 2,
             candidates: 256,
         },
         batch: BatchConfig {
@@ -50,7 +51,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             weight_decay: 1e-5,
             decay: Default::default(),
         },
-        loss: LossConfig { proposals: 8, best: 2, ..LossConfig::default() },
+        loss: LossConfig { proposals: 8, best: 2, motion: 1.0, ..LossConfig::default() },
         adaptive: Default::default(),
         collect: CollectConfig::default(),
     }
@@ -110,6 +111,11 @@ fn what_can_be_learnt_is_learnt() {
         train_for(&config(60, 60), &data, &folder.path().join("run"), usize::MAX).unwrap();
     let mean = |l: &[f32]| l.iter().sum::<f32>() / l.len() as f32;
     assert!(mean(&losses[50..60]) < 0.6 * mean(&losses[..5]), "{losses:?}");
+    // Every board can go one way, away from the camera.
+    let metrics = std::fs::read_to_string(folder.path().join("run").join(files::METRICS)).unwrap();
+    let lines = metrics.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let motion: Vec<f64> = lines.filter_map(|line| line["motion"].as_f64()).collect();
+    assert!(motion.len() == 120 && motion[119] < 0.1 * motion[0], "{motion:?}");
     // A quarter of the trials succeed, which is what chance would get.
     assert!(outcome.progress.best.unwrap() > 0.6, "{:?}", outcome.progress);
     let weights = Weights::load(&outcome.weights.unwrap(), &Device::flex()).unwrap();

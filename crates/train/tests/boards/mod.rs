@@ -5,9 +5,11 @@
 use std::ops::Range;
 use std::path::Path;
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use rand::RngExt;
-use where2act_core::shard::{DEPTH_SIDE, FORMAT, Manifest, RGB_SIDE, SceneInfo, SceneRecord, write_shard};
+use where2act_core::shard::{
+    DEPTH_SIDE, FORMAT, Freedom, Manifest, RGB_SIDE, SceneInfo, SceneRecord, write_shard,
+};
 use where2act_core::{Camera, Category, Grasp, ImageSize, Pixel, Policy, Primitive, Seed, Trial, Verdict};
 
 /// Scenes of a full shard.
@@ -17,14 +19,8 @@ pub(crate) const PER_SHARD: u64 = 8;
 pub(crate) fn board(index: u64) -> SceneRecord {
     let mut rng = Seed(7).child("board", index).rng();
     let size = ImageSize::square(DEPTH_SIDE);
-    let camera = Camera::orbit(
-        nalgebra::Point3::origin(),
-        5.0,
-        rng.random_range(0.0..6.0),
-        0.7,
-        size,
-        Camera::PUBLISHED_FOV,
-    );
+    let camera =
+        Camera::orbit(Point3::origin(), 5.0, rng.random_range(0.0..6.0), 0.7, size, Camera::PUBLISHED_FOV);
     let slant = rng.random_range(-0.2f32..0.2);
     let inside = |i: usize| (100..350).contains(&(i % DEPTH_SIDE)) && (100..350).contains(&(i / DEPTH_SIDE));
     let metres = |i: usize| 5.0 + slant * (i % DEPTH_SIDE) as f32 / DEPTH_SIDE as f32;
