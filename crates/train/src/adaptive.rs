@@ -36,8 +36,8 @@ pub fn count(trials: &NewTrials, policy: Policy) -> (usize, usize) {
     of.fold((0, 0), |(n, successes), t| (n + 1, successes + usize::from(t.verdict.success)))
 }
 
-/// New trials on randomly drawn scenes of `scenes`: on each of them, half are the network's own best proposals and half
-/// random, primitives taking turns. `progress` is called after every scene.
+/// New trials on randomly drawn scenes of `scenes`: on each of them some are the network's own best proposals and the
+/// others random, primitives taking turns. `progress` is called after every scene.
 ///
 /// # Errors
 /// Any [`ExploreError`].
@@ -57,7 +57,7 @@ pub fn explore(
         let id = scenes[scene];
         let info = &dataset.shards()[id.shard].scenes()[id.scene];
         let prep = preparer.restore(info)?;
-        let trials = explore_scene(&predictor, &prep, config.trials, seed.child("scene", i as u64))?;
+        let trials = explore_scene(&predictor, &prep, config, seed.child("scene", i as u64))?;
         progress();
         Ok((id, trials))
     };
@@ -67,21 +67,22 @@ pub fn explore(
 fn explore_scene(
     predictor: &Predictor,
     prep: &ScenePrep,
-    trials: usize,
+    config: &AdaptiveConfig,
     seed: Seed,
 ) -> Result<Vec<Trial>, ExploreError> {
     let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(Vec::new()) };
     let primitives = &predictor.config().primitives;
     let mut chosen: Vec<(Primitive, Policy, Candidate)> = Vec::new();
-    for n in 0..trials.div_ceil(2) {
+    let own_trials = (config.trials as f32 * config.own) as usize;
+    for n in 0..config.trials - own_trials {
         let primitive = primitives[n % primitives.len()];
         let mut rng = seed.child("random", n as u64).rng();
         chosen.push((primitive, Policy::Random, sampler.random(&mut rng)));
     }
     let all = proposals(predictor, prep, &sampler, BEST, seed)?;
     for (p, (mut own, &primitive)) in all.into_iter().zip(primitives).enumerate() {
-        // The turns of this primitive among the other half of the trials.
-        let count = (trials / 2 + primitives.len() - 1 - p) / primitives.len();
+        // The turns of this primitive among these trials.
+        let count = (own_trials + primitives.len() - 1 - p) / primitives.len();
         if let Some((_, rest)) = own.split_first_mut() {
             rest.shuffle(&mut seed.child("own", primitive as u64).rng());
         }

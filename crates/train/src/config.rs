@@ -157,8 +157,10 @@ pub struct AdaptiveConfig {
     pub enabled: bool,
     /// Train scenes that get new trials after each epoch of the joint phase.
     pub scenes: usize,
-    /// New trials on each of them, half where the network is confident, half random.
+    /// New trials on each of them.
     pub trials: usize,
+    /// Share of them that are the network's own best proposals; the others are random. The paper's: a half.
+    pub own: f32,
     /// Trials of the replay buffer; older ones are forgotten first. The paper's: 10,000.
     pub buffer: usize,
 }
@@ -213,7 +215,7 @@ impl Default for LossConfig {
 
 impl Default for AdaptiveConfig {
     fn default() -> Self {
-        Self { enabled: false, scenes: 64, trials: 24, buffer: 10_000 }
+        Self { enabled: false, scenes: 64, trials: 24, own: 0.5, buffer: 10_000 }
     }
 }
 
@@ -377,6 +379,8 @@ impl TrainConfig {
             "1 to 10000",
         )?;
         check(loss.best <= loss.proposals, "loss.best", loss.best.to_string(), "at most loss.proposals")?;
+        let own = self.adaptive.own;
+        check((0.0..=1.0).contains(&own), "adaptive.own", own.to_string(), "0 to 1")?;
         let guided = self.collect.guided;
         check((0.0..=1.0).contains(&guided), "collect.guided", guided.to_string(), "0 to 1")
     }
