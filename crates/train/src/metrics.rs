@@ -59,9 +59,10 @@ pub struct ScoreMetrics {
     pub f_score: f64,
     /// Area under the precision-recall curve as a step function, independent of any threshold.
     pub average_precision: f64,
-    /// The threshold with the best F-score on these trials, and that score: what calibration could gain.
+    /// The best F-score that any threshold has on these trials: what calibration could gain.
     pub best_f_score: f64,
-    /// Where it is reached.
+    /// The threshold with the best F-score among those that at least as many trials pass as succeed. A higher one is
+    /// the best of all only by the luck of a handful of trials.
     pub best_threshold: f64,
 }
 
@@ -91,12 +92,13 @@ impl ScoreMetrics {
     }
 }
 
-/// Average precision, best F-score and its threshold, over all distinct scores as thresholds.
+/// Average precision and best F-score over all distinct scores as thresholds, and the best threshold that enough trials
+/// pass.
 fn ranking(scored: &[(f32, bool)], successes: usize) -> (f64, f64, f64) {
     let mut sorted: Vec<_> = scored.to_vec();
     sorted.sort_by(|a, b| b.0.total_cmp(&a.0));
     let (mut hits, mut seen, mut recall_before, mut area) = (0usize, 0usize, 0.0, 0.0);
-    let mut best = (0.0, 1.0);
+    let (mut best, mut best_passed) = (0.0f64, (0.0, 1.0));
     for tie in sorted.chunk_by(|a, b| a.0 == b.0) {
         hits += tie.iter().filter(|(_, y)| *y).count();
         seen += tie.len();
@@ -104,11 +106,12 @@ fn ranking(scored: &[(f32, bool)], successes: usize) -> (f64, f64, f64) {
         area += (recall - recall_before) * precision;
         recall_before = recall;
         let f = 2.0 * hits as f64 / (seen + successes) as f64;
-        if f > best.0 {
-            best = (f, f64::from(tie[0].0));
+        best = best.max(f);
+        if seen >= successes && f > best_passed.0 {
+            best_passed = (f, f64::from(tie[0].0));
         }
     }
-    (area, best.0, best.1)
+    (area, best, best_passed.1)
 }
 
 /// One row of a reliability table: trials whose score fell into a tenth.
@@ -175,6 +178,16 @@ mod tests {
         assert!((m.f_score - 0.666_666_666_666_666_6).abs() < 1e-9, "{m:?}");
         assert!((m.average_precision - 0.714_678_178_963_893_2).abs() < 1e-9, "{m:?}");
         assert!(m.best_f_score >= m.f_score);
+    }
+
+    #[test]
+    fn two_lucky_trials_do_not_set_the_threshold() {
+        // The two highest scores of ten successes are right, the others lie anywhere in the upper half.
+        let lucky = [(0.99, true), (0.98, true)].into_iter();
+        let rest = (0..50).map(|i| (0.9 - 0.01 * i as f32, i % 6 == 5));
+        let m = ScoreMetrics::new(&lucky.chain(rest).collect::<Vec<_>>());
+        assert_eq!(m.successes, 10);
+        assert!(m.best_threshold < 0.9 && m.best_f_score > 0.33, "{m:?}");
     }
 
     /// Expected values from statsmodels 0.15.0: proportion_confint(k, n, method="wilson").
