@@ -58,6 +58,8 @@ pub struct Queries {
     pub weights: Vec<f32>,
     /// Which ways each place can go, for trials and places; `None` where nobody knows.
     pub ways: Vec<Option<Ways>>,
+    /// Normal of the surface at each place, camera frame, for trials and places; `None` at edges and beside the object.
+    pub normals: Vec<Option<Vector3<f32>>>,
 }
 
 impl Queries {
@@ -65,6 +67,11 @@ impl Queries {
     #[must_use]
     pub fn trials(&self) -> usize {
         self.labels.len()
+    }
+
+    fn see(&mut self, seen: &[Seen]) {
+        self.ways.extend(seen.iter().map(|(ways, _)| ways));
+        self.normals.extend(seen.iter().map(|(_, normal)| normal));
     }
 }
 
@@ -75,9 +82,12 @@ struct View {
     trials: Vec<(usize, usize, [f32; 6], bool)>,
     /// Places as (place, output).
     places: Vec<(usize, usize)>,
-    /// Of the trials, then of the places.
-    ways: Vec<Option<Ways>>,
+    /// What is seen at the trials, then at the places.
+    seen: Vec<Seen>,
 }
+
+/// What the scene knows of a place: the ways it can go and its normal.
+type Seen = (Option<Ways>, Option<Vector3<f32>>);
 
 enum ViewInput {
     Image(Vec<f32>),
@@ -179,34 +189,31 @@ impl Source {
             source,
         })?;
         let pixels = questions.iter().map(|q| q.pixel).chain(places.iter().map(|(pixel, _)| *pixel));
-        view.ways = ways_at(shard, id.scene, pixels, mirrored);
+        view.seen = seen_at(shard, id.scene, pixels, mirrored);
         Ok(view)
     }
 }
 
-/// The ways of what is seen at some pixels. Nobody knows them where the scanner measured nothing, nor in data that was
-/// collected without them.
-fn ways_at(
-    shard: &Shard,
-    scene: usize,
-    pixels: impl Iterator<Item = Pixel>,
-    mirrored: bool,
-) -> Vec<Option<Ways>> {
+/// What the scene knows of what is seen at some pixels. Nobody knows where the scanner measured nothing, nor the ways in
+/// data that was collected without them.
+fn seen_at(shard: &Shard, scene: usize, pixels: impl Iterator<Item = Pixel>, mirrored: bool) -> Vec<Seen> {
     let (camera, depth, link) = (shard.camera(scene), shard.depth(scene), shard.link(scene));
     let freedoms = &shard.scenes()[scene].freedoms;
-    let ways_at = |pixel: Pixel| {
-        let i = camera.size.index(pixel);
-        // 0 is the background and 1 the root.
-        if link[i] < 2 {
-            return Some(Ways::default());
-        }
-        let freedom = freedoms.get(usize::from(link[i]) - 2)?;
-        let metres = f32::from(depth[i]) * DEPTH_UNIT;
-        let point = (metres > 0.0).then(|| camera.intrinsics.pixel_to_point(pixel, metres))?;
-        let ways = motion::ways(freedom, &point);
-        Some(ways.map(|way| if mirrored { Vector3::new(-way.x, way.y, way.z) } else { way }))
+    let point = |pixel: Pixel| {
+        let metres = f32::from(depth[camera.size.index(pixel)]) * DEPTH_UNIT;
+        (metres > 0.0).then(|| camera.intrinsics.pixel_to_point(pixel, metres))
     };
-    pixels.map(ways_at).collect()
+    let ways = |pixel: Pixel| match link[camera.size.index(pixel)] {
+        // The background and the root.
+        0 | 1 => Some(Ways::default()),
+        id => Some(motion::ways(freedoms.get(usize::from(id) - 2)?, &point(pixel)?)),
+    };
+    let turned = |v: Vector3<f32>| if mirrored { Vector3::new(-v.x, v.y, v.z) } else { v };
+    let seen = |pixel| {
+        let normal = motion::normal(pixel, camera.size, point);
+        (ways(pixel).map(|ways| ways.map(turned)), normal.map(turned))
+    };
+    pixels.map(seen).collect()
 }
 
 /// Pixel of the stored picture that shows a pixel of the stored depth map.
@@ -234,7 +241,7 @@ fn image_view(
     Ok(View {
         trials: questions.iter().map(|q| (place(q.pixel), q.output, q.orientation, q.success)).collect(),
         places: places.iter().map(|(pixel, output)| (place(*pixel), *output)).collect(),
-        ways: Vec::new(),
+        seen: Vec::new(),
         input: ViewInput::Image(input.values),
     })
 }
@@ -266,7 +273,7 @@ fn cloud_view(
         input: ViewInput::Cloud(cloud, targets),
         trials: questions.iter().enumerate().map(|(i, q)| (i, q.output, q.orientation, q.success)).collect(),
         places: places.iter().enumerate().map(|(i, (_, output))| (n + i, *output)).collect(),
-        ways: Vec::new(),
+        seen: Vec::new(),
     })
 }
 
@@ -279,7 +286,7 @@ fn assemble(views: Vec<View>, model: &ModelConfig) -> Batch {
             queries.orientations.push(*orientation);
             queries.labels.push(f32::from(u8::from(*success)));
         }
-        queries.ways.extend(&view.ways[..view.trials.len()]);
+        queries.see(&view.seen[..view.trials.len()]);
     }
     queries.weights = balanced(&queries, model.primitives.len());
     for (v, view) in views.iter().enumerate() {
@@ -287,7 +294,7 @@ fn assemble(views: Vec<View>, model: &ModelConfig) -> Batch {
             queries.places.push((v, *place));
             queries.outputs.push(*output);
         }
-        queries.ways.extend(&view.ways[view.trials.len()..]);
+        queries.see(&view.seen[view.trials.len()..]);
     }
     let count = views.len();
     let (mut pixels, mut clouds, mut targets) = (Vec::new(), Vec::new(), Vec::new());

@@ -147,6 +147,8 @@ pub struct LossConfig {
     pub best: usize,
     /// Difference of the ways that points can go from those the network's features tell. 0 = not asked (the paper).
     pub motion: f32,
+    /// Squared error of the surface's normal that the network's features tell. 0 = not asked (the paper).
+    pub normal: f32,
 }
 
 /// New trials where the network is confident, between epochs.
@@ -209,6 +211,7 @@ impl Default for LossConfig {
             proposals: 100,
             best: 0,
             motion: 0.0,
+            normal: 0.0,
         }
     }
 }
@@ -369,6 +372,7 @@ impl TrainConfig {
             ("loss.kl", loss.kl),
             ("loss.actionability", loss.actionability),
             ("loss.motion", loss.motion),
+            ("loss.normal", loss.normal),
         ] {
             check(weight >= 0.0 && weight.is_finite(), field, weight.to_string(), "0 or more")?;
         }

@@ -1,30 +1,34 @@
-//! What training alone asks: which ways each point can go. Thousands of trials say little about where a hinge is; the
-//! scene knows it, and a backbone that can tell has learnt what all heads need.
+//! What training alone asks: which ways each point can go, and which way a surface faces. Thousands of trials say little
+//! about where a hinge is; the scene knows it, and a backbone that can tell has learnt what all heads need.
 
 use burn::module::Module;
 use burn::nn::{Initializer, Linear, LinearConfig};
 use burn::tensor::activation::leaky_relu;
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Point3, Vector3};
-use where2act_core::Verdict;
 use where2act_core::shard::Freedom;
-use where2act_model::{ModelConfig, Network};
+use where2act_core::{ImageSize, Pixel, Seed, Verdict};
+use where2act_model::{ModelConfig, Network, draw_weights};
 
-/// What a run trains: the network, and a head that stays behind when training is over.
+use crate::config::LossConfig;
+
+/// What a run trains: the network, and probes that stay behind when training is over.
 #[derive(Module, Debug)]
 pub struct Learner {
     /// What predicts.
     pub network: Network,
-    /// Feature -> ways; `None` where the configuration does not ask for it.
-    pub motion: Option<MotionHead>,
+    /// Feature -> the two [`Ways`] of its point, in either order; `None` where the configuration does not ask for it.
+    pub motion: Option<Probe>,
+    /// Feature -> normal of its surface, camera frame; `None` where the configuration does not ask for it.
+    pub normal: Option<Probe>,
 }
 
-/// Feature -> the two [`Ways`] of its point, in either order.
+/// A question to the features that has nothing to do with hands.
 #[derive(Module, Debug)]
-pub struct MotionHead {
+pub struct Probe {
     /// Weight `[features, hidden]`.
     pub mlp1: Linear,
-    /// Weight `[hidden, 6]`.
+    /// Weight `[hidden, answers]`.
     pub mlp2: Linear,
 }
 
@@ -38,22 +42,33 @@ const LEVERAGE: f32 = 0.1;
 /// Slope of the hidden activation for negative numbers, as in the network's heads.
 const LEAK: f64 = 0.01;
 
-impl MotionHead {
-    /// A head for the features of a network, with weights that wait to be drawn.
+impl Learner {
+    /// A network and the probes that a configuration asks for, with weights that depend on the seed alone.
     #[must_use]
-    pub fn new(config: &ModelConfig, device: &Device) -> Self {
+    pub fn new(network: Network, loss: &LossConfig, seed: Seed) -> Self {
+        let (config, device) = (network.config().clone(), network.device());
+        let probe = |weight: f32, name: &str, answers: usize| {
+            let draw = || draw_weights(Probe::new(&config, answers, &device), seed.child(name, 0));
+            (weight > 0.0).then(draw)
+        };
+        Self { motion: probe(loss.motion, "motion", 6), normal: probe(loss.normal, "normal", 3), network }
+    }
+}
+
+impl Probe {
+    /// A probe for the features of a network, with weights that wait to be drawn.
+    fn new(config: &ModelConfig, answers: usize, device: &Device) -> Self {
         let linear = |inputs, outputs| {
             LinearConfig::new(inputs, outputs).with_initializer(Initializer::Zeros).init(device)
         };
-        Self { mlp1: linear(config.features, config.hidden), mlp2: linear(config.hidden, 6) }
+        Self { mlp1: linear(config.features, config.hidden), mlp2: linear(config.hidden, answers) }
     }
 
     /// # Shapes
-    /// `[q, features]` -> `[q, 2, 3]`
+    /// `[q, features]` -> `[q, answers]`
     #[must_use]
-    pub fn forward(&self, features: Tensor<2>) -> Tensor<3> {
-        let [q, _] = features.dims();
-        self.mlp2.forward(leaky_relu(self.mlp1.forward(features), LEAK)).reshape([q, 2, 3])
+    pub fn forward(&self, features: Tensor<2>) -> Tensor<2> {
+        self.mlp2.forward(leaky_relu(self.mlp1.forward(features), LEAK))
     }
 }
 
@@ -65,19 +80,42 @@ pub(crate) fn ways(freedom: &Freedom, point: &Point3<f32>) -> Ways {
     [-way * down, way * up]
 }
 
+/// Pixels to each side whose points span a surface.
+const SPAN: u32 = 2;
+/// Farthest that these points may be from the surface's own, as a share of its depth: beyond it is another surface.
+const SAME_SURFACE: f32 = 0.02;
+
+/// Normal of the surface seen at a pixel of a depth map, towards the camera; `None` at its edges.
+/// `point` is what is seen at a pixel, camera frame.
+pub(crate) fn normal(
+    pixel: Pixel,
+    size: ImageSize,
+    point: impl Fn(Pixel) -> Option<Point3<f32>>,
+) -> Option<Vector3<f32>> {
+    let Pixel { u, v } = pixel;
+    let inside = u >= SPAN && v >= SPAN && (u + SPAN) < size.width as u32 && (v + SPAN) < size.height as u32;
+    let here = inside.then(|| point(pixel))??;
+    let near =
+        |u: u32, v: u32| point(Pixel { u, v }).filter(|p| (p.z - here.z).abs() < SAME_SURFACE * here.z);
+    let (left, right, up, down) =
+        (near(u - SPAN, v)?, near(u + SPAN, v)?, near(u, v - SPAN)?, near(u, v + SPAN)?);
+    // x right, y down, z forward: down x right looks back at the camera.
+    (down - up).cross(&(right - left)).try_normalize(1e-12)
+}
+
 /// How much the ways that are thought differ from those that are: the mean squared difference, over many directions,
 /// of how far one gets along each by the better way. The order of the ways does not matter to it.
 ///
 /// # Shapes
-/// `[q, 2, 3]`, `[q, 2, 3]` -> `[q]`
-pub(crate) fn difference(thought: Tensor<3>, true_ways: Tensor<3>) -> Tensor<1> {
+/// `[q, 6]`, `[q, 6]` -> `[q]`
+pub(crate) fn difference(thought: Tensor<2>, true_ways: Tensor<2>) -> Tensor<1> {
     let directions = directions();
-    let [q, _, _] = thought.dims();
+    let [q, _] = thought.dims();
     let all = TensorData::new(directions.concat(), [directions.len(), 3]);
     let all = Tensor::<2>::from_data(all, &thought.device()).transpose();
     let reach =
-        |ways: Tensor<3>| ways.reshape([2 * q, 3]).matmul(all.clone()).reshape([q, 2, directions.len()]);
-    let furthest = |ways: Tensor<3>| reach(ways).max_dim(1).reshape([q, directions.len()]);
+        |ways: Tensor<2>| ways.reshape([2 * q, 3]).matmul(all.clone()).reshape([q, 2, directions.len()]);
+    let furthest = |ways: Tensor<2>| reach(ways).max_dim(1).reshape([q, directions.len()]);
     (furthest(thought) - furthest(true_ways)).powi_scalar(2).mean_dim(1).reshape([q])
 }
 
@@ -105,8 +143,22 @@ mod tests {
     }
 
     #[test]
+    fn a_slanted_board_faces_the_camera_and_an_edge_has_no_normal() {
+        let size = ImageSize::square(20);
+        // A plane z = 2 + x / 2, with a step at u = 15.
+        let point = |p: Pixel| {
+            let x = (p.u as f32 - 10.0) * 0.01;
+            (p.v < 18)
+                .then(|| Point3::new(x, p.v as f32 * 0.01, 2.0 + 0.5 * x + if p.u < 15 { 0.0 } else { 1.0 }))
+        };
+        let at = |u, v| normal(Pixel { u, v }, size, point);
+        assert!((at(5, 9).unwrap() - Vector3::new(0.5, 0.0, -1.0).normalize()).norm() < 1e-3);
+        assert!([at(1, 9), at(19, 9), at(14, 9), at(5, 17), at(5, 19)].iter().all(Option::is_none));
+    }
+
+    #[test]
     fn the_order_of_the_ways_does_not_matter_but_each_way_does() {
-        let tensor = |ways: [f32; 6]| Tensor::<1>::from_floats(ways, &Device::flex()).reshape([1, 2, 3]);
+        let tensor = |ways: [f32; 6]| Tensor::<1>::from_floats(ways, &Device::flex()).reshape([1, 6]);
         let apart = |a, b| difference(tensor(a), tensor(b)).into_scalar::<f32>();
         let truth = [0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
         assert!(apart([0.0, 0.0, 0.0, 0.0, 0.0, 1.0], truth) < 1e-12);

@@ -16,9 +16,7 @@ use serde::Serialize;
 use where2act_core::shard::Manifest;
 use where2act_core::{Policy, Trial, write_whole};
 use where2act_model::preprocess::{CloudInput, CloudScale};
-use where2act_model::{
-    Modality, ModelConfig, Network, Precision, Weights, WeightsError, draw_weights, save_weights,
-};
+use where2act_model::{Modality, ModelConfig, Network, Precision, Weights, WeightsError, save_weights};
 
 use crate::adaptive;
 use crate::batch::{Batch, Source};
@@ -26,7 +24,7 @@ use crate::checkpoint::{self, CheckpointError, Progress, State};
 use crate::config::{ConfigError, TrainConfig};
 use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
-use crate::motion::{Learner, MotionHead};
+use crate::motion::Learner;
 use crate::replay::Replay;
 use crate::split::Part;
 use crate::step::{Losses, Phase, forward};
@@ -116,6 +114,8 @@ pub struct StepReport {
     pub actionability: Option<f32>,
     /// Difference of the ways that points can go.
     pub motion: Option<f32>,
+    /// Squared error of the normals.
+    pub normal: Option<f32>,
     /// Learning rate.
     pub rate: f64,
     /// Seconds by stage.
@@ -420,6 +420,7 @@ fn report(
         kl: read(&losses.kl),
         actionability: read(&losses.actionability),
         motion: read(&losses.motion),
+        normal: read(&losses.normal),
         rate,
         secs,
     }
@@ -443,9 +444,8 @@ fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result
 /// The weights to start from: random ones, or those that the configuration names.
 fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> Result<Learner, TrainError> {
     let seed = config.root_seed().child("weights", 0);
-    let motion = (config.loss.motion > 0.0).then(|| draw_weights(MotionHead::new(model, device), seed));
     let Some(folder) = &config.from else {
-        return Ok(Learner { network: Network::new(model, seed, device), motion });
+        return Ok(Learner::new(Network::new(model, seed, device), &config.loss, seed));
     };
     let network = Weights::load(folder, device)?.network;
     // What does not change the shape of any parameter may differ.
@@ -459,7 +459,7 @@ fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> 
     if comparable != *model {
         return Err(TrainError::OtherNetwork { path: folder.clone() });
     }
-    Ok(Learner { network: network.with_config(|own| *own = model.clone()), motion })
+    Ok(Learner::new(network.with_config(|own| *own = model.clone()), &config.loss, seed))
 }
 
 /// The network's description with the sizes of clouds that training will see.

@@ -12,7 +12,7 @@ use where2act_model::{Choice, Heads, Input, Network, to_axes};
 
 use crate::batch::{Batch, BatchInput, Queries};
 use crate::config::LossConfig;
-use crate::motion::{Learner, difference};
+use crate::motion::{Learner, Probe, Ways, difference};
 
 /// Losses of a step before they are weighted. They stay tensors until somebody wants to read them.
 #[derive(Clone, Debug)]
@@ -27,6 +27,8 @@ pub struct Losses {
     pub actionability: Option<Tensor<1>>,
     /// Difference of the ways that points can go; `None` if it is not asked.
     pub motion: Option<Tensor<1>>,
+    /// Squared error of the normals; `None` if they are not asked.
+    pub normal: Option<Tensor<1>>,
 }
 
 impl Losses {
@@ -39,6 +41,7 @@ impl Losses {
             (&self.kl, weights.kl),
             (&self.actionability, weights.actionability),
             (&self.motion, weights.motion),
+            (&self.normal, weights.normal),
         ];
         for (loss, weight) in further {
             if let Some(loss) = loss {
@@ -61,7 +64,7 @@ pub enum Phase {
 /// Forward pass of a batch and its losses.
 #[must_use]
 pub fn forward(
-    Learner { network, motion }: &Learner,
+    Learner { network, motion, normal }: &Learner,
     batch: &Batch,
     phase: Phase,
     config: &LossConfig,
@@ -86,12 +89,19 @@ pub fn forward(
     let labels = Tensor::from_floats(queries.labels.as_slice(), &device);
     let weights = Tensor::from_floats(queries.weights.as_slice(), &device);
     let score = weighted_mean(binary_cross_entropy(logits, labels), weights);
-    let motion = motion.as_ref().map(|head| {
-        let (ways, known) = true_ways(queries, &device);
-        weighted_mean(difference(head.forward(features.clone()), ways), known)
+    let ask = |probe: &Option<Probe>| probe.as_ref().map(|probe| probe.forward(features.clone()));
+    let motion = ask(motion).map(|thought| {
+        let flat = |[a, b]: Ways| [a.x, a.y, a.z, b.x, b.y, b.z];
+        let (ways, known) = answers(queries.ways.iter().map(|ways| ways.map(flat)), &device);
+        weighted_mean(difference(thought, ways), known)
+    });
+    let normal = ask(normal).map(|thought| {
+        let (normals, known) = answers(queries.normals.iter().map(|normal| normal.map(Into::into)), &device);
+        let [q, _] = thought.dims();
+        weighted_mean((thought - normals).powi_scalar(2).sum_dim(1).reshape([q]), known)
     });
     if phase == Phase::Score {
-        return Losses { score, geodesic: None, kl: None, actionability: None, motion };
+        return Losses { score, geodesic: None, kl: None, actionability: None, motion, normal };
     }
 
     let (geodesic, kl) = reconstruction(network, queries, of_trials, &orientations, rng);
@@ -100,16 +110,19 @@ pub fn forward(
         actionability_target(&network.heads.clone().valid(), features.clone().inner(), queries, config, rng);
     let guess = choice.pick(network.heads.actionability.forward(features));
     let actionability = squared_error(guess, Tensor::from_inner(target).detach()).sum() / all.max(1) as f32;
-    Losses { score, geodesic, kl, actionability: Some(actionability), motion }
+    Losses { score, geodesic, kl, actionability: Some(actionability), motion, normal }
 }
 
-/// The ways of all queries, `[q, 2, 3]`, and where they are known, `[q]`.
-fn true_ways(queries: &Queries, device: &Device) -> (Tensor<3>, Tensor<1>) {
-    let known: Vec<f32> = queries.ways.iter().map(|ways| f32::from(u8::from(ways.is_some()))).collect();
-    let flat: Vec<f32> =
-        queries.ways.iter().flat_map(|ways| ways.unwrap_or_default()).flat_map(<[f32; 3]>::from).collect();
-    let ways = Tensor::from_data(TensorData::new(flat, [known.len(), 2, 3]), device);
-    (ways, Tensor::from_floats(known.as_slice(), device))
+/// The right answers to a probe, `[q, n]`, and where they are known, `[q]`.
+fn answers<const N: usize>(
+    answers: impl Iterator<Item = Option<[f32; N]>>,
+    device: &Device,
+) -> (Tensor<2>, Tensor<1>) {
+    let answers: Vec<Option<[f32; N]>> = answers.collect();
+    let known: Vec<f32> = answers.iter().map(|answer| f32::from(u8::from(answer.is_some()))).collect();
+    let flat: Vec<f32> = answers.iter().flat_map(|answer| answer.unwrap_or([0.0; N])).collect();
+    let all = Tensor::from_data(TensorData::new(flat, [answers.len(), N]), device);
+    (all, Tensor::from_floats(known.as_slice(), device))
 }
 
 /// Orientations of the trials, `[trials, 6]`.

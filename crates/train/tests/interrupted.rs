@@ -16,8 +16,8 @@ use where2act_core::{Category, Primitive, Seed};
 use where2act_model::{Network, StoredTensor, Weights};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Recipe};
 use where2act_train::checkpoint::{self, Progress, State};
-use where2act_train::motion::{Learner, MotionHead};
-use where2act_train::{Part, Replay};
+use where2act_train::motion::Learner;
+use where2act_train::{LossConfig, Part, Replay};
 
 const CONFIG: &str = "name = 'interrupted'
 seed = 5
@@ -39,6 +39,7 @@ epoch_steps = 5
 [loss]
 proposals = 8
 motion = 1.0
+normal = 1.0
 [adaptive]
 enabled = true
 scenes = 1
@@ -106,11 +107,13 @@ fn newest_checkpoint(run: &Path) -> PathBuf {
 fn last_tensors(run: &Path) -> BTreeMap<String, StoredTensor> {
     let device = Device::flex();
     let config = Weights::load(&run.join("weights"), &device).unwrap().network.config().clone();
+    let network = Network::new(&config, Seed(0), &device.autodiff());
     let fresh = State {
-        learner: Learner {
-            network: Network::new(&config, Seed(0), &device.clone().autodiff()),
-            motion: Some(MotionHead::new(&config, &device.autodiff())),
-        },
+        learner: Learner::new(
+            network,
+            &LossConfig { motion: 1.0, normal: 1.0, ..LossConfig::default() },
+            Seed(0),
+        ),
         optimiser: AdamConfig::new().init(),
         replay: Replay::new(10),
         progress: Progress::default(),

@@ -251,6 +251,7 @@ fn show(report: &StepReport) -> String {
         ("kl", report.kl),
         ("actionability", report.actionability),
         ("motion", report.motion),
+        ("normal", report.normal),
     ] {
         if let Some(value) = value {
             text += &format!(", {name} {value:.3}");
