@@ -14,7 +14,7 @@ use where2act_model::{Hierarchy, Modality, ModelConfig};
 
 use crate::config::{BatchConfig, TrainConfig};
 use crate::dataset::{DataError, Dataset, SceneId};
-use crate::motion::{self, Ways};
+use crate::probes::{self, Ways};
 use crate::questions::{self, Ground, Question};
 use crate::replay::Replay;
 
@@ -206,11 +206,11 @@ fn seen_at(shard: &Shard, scene: usize, pixels: impl Iterator<Item = Pixel>, mir
     let ways = |pixel: Pixel| match link[camera.size.index(pixel)] {
         // The background and the root.
         0 | 1 => Some(Ways::default()),
-        id => Some(motion::ways(freedoms.get(usize::from(id) - 2)?, &point(pixel)?)),
+        id => Some(probes::ways(freedoms.get(usize::from(id) - 2)?, &point(pixel)?)),
     };
     let turned = |v: Vector3<f32>| if mirrored { Vector3::new(-v.x, v.y, v.z) } else { v };
     let seen = |pixel| {
-        let normal = motion::normal(pixel, camera.size, point);
+        let normal = probes::normal(pixel, camera.size, point);
         (ways(pixel).map(|ways| ways.map(turned)), normal.map(turned))
     };
     pixels.map(seen).collect()

@@ -10,7 +10,7 @@ use burn::tensor::Bytes;
 use serde::{Deserialize, Serialize};
 use where2act_core::sha256_hex;
 
-use crate::motion::Learner;
+use crate::probes::Learner;
 use crate::replay::Replay;
 
 /// What a checkpoint knows beside weights and optimiser.

@@ -17,7 +17,7 @@ mod curves;
 mod dataset;
 pub mod evaluate;
 pub mod metrics;
-pub mod motion;
+pub mod probes;
 mod questions;
 mod replay;
 pub mod run;

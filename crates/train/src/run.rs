@@ -24,7 +24,7 @@ use crate::checkpoint::{self, CheckpointError, Progress, State};
 use crate::config::{ConfigError, TrainConfig};
 use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
-use crate::motion::Learner;
+use crate::probes::Learner;
 use crate::replay::Replay;
 use crate::split::Part;
 use crate::step::{Losses, Phase, forward};

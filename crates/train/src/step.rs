@@ -12,7 +12,7 @@ use where2act_model::{Choice, Heads, Input, Network, to_axes};
 
 use crate::batch::{Batch, BatchInput, Queries};
 use crate::config::LossConfig;
-use crate::motion::{Learner, Probe, Ways, difference};
+use crate::probes::{Learner, Probe, Ways, difference};
 
 /// Losses of a step before they are weighted. They stay tensors until somebody wants to read them.
 #[derive(Clone, Debug)]

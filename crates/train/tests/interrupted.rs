@@ -16,7 +16,7 @@ use where2act_core::{Category, Primitive, Seed};
 use where2act_model::{Network, StoredTensor, Weights};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Recipe};
 use where2act_train::checkpoint::{self, Progress, State};
-use where2act_train::motion::Learner;
+use where2act_train::probes::Learner;
 use where2act_train::{LossConfig, Part, Replay};
 
 const CONFIG: &str = "name = 'interrupted'
