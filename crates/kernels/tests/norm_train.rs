@@ -87,8 +87,16 @@ impl Textbook {
         let steepest = gamma.iter().zip(&self.variance).map(scale).fold(1.0, f64::max);
         let most = dy.iter().fold(1.0, |m: f64, v| m.max(v.abs()));
         close("gradient of the input", isa, &found.input, &input, steepest * most * self.magnified);
-        close("gradient of gamma", isa, &found.gamma, &of_gamma, self.magnified);
-        close("gradient of beta", isa, &found.beta, &of_beta, 1.0);
+        // Sums of thousands of terms that cancel: an ulp of their absolute values.
+        let mut sums = vec![[0.0; 2]; gamma.len()];
+        for (i, &c) in self.channels.iter().enumerate() {
+            sums[c][0] += (dy[i] * self.normal[i]).abs();
+            sums[c][1] += dy[i].abs();
+        }
+        let ulp =
+            |k: usize| sums.iter().map(|s| s[k]).fold(0.0, f64::max) * f64::from(f32::EPSILON) / TOLERANCE;
+        close("gradient of gamma", isa, &found.gamma, &of_gamma, self.magnified + ulp(0));
+        close("gradient of beta", isa, &found.beta, &of_beta, 1.0 + ulp(1));
     }
 
     fn check_moments(&self, isa: Isa, found: &Moments) {
@@ -186,10 +194,12 @@ proptest! {
     }
 }
 
-/// Two values 0.004 apart around 3: found by chance, where the gradient is a difference of terms 100 times larger.
+/// Found by chance: two values 0.004 apart around 3, where the gradient is a difference of terms 100 times larger, and
+/// 9,282 terms whose sum is a thousandth of them.
 #[test]
-fn close_values_follow_the_textbook() {
+fn what_cancels_follows_the_textbook() {
     check_planes([1, 1, 2], 884);
+    check_planes([3, 1, 3094], 802);
 }
 
 #[test]
