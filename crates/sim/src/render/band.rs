@@ -4,36 +4,43 @@
 //! threads. A pixel needs the samples of its rows, the one above and two below, which neighbouring bands make twice.
 
 use std::cell::Cell;
+use std::ops::Range;
+use std::slice;
 
 use nalgebra::Vector3;
-use where2act_core::Pixel;
+use where2act_core::{ImageSize, Pixel};
 
 use super::backdrop::Behind;
-use super::raster::{Buffer, Grid, NOTHING, Region};
-use super::scene::Scene;
+use super::light::{CENTRE, GLASS, KINDS, Planes, filter};
+use super::raster::{Buffer, Grid, Region};
+use super::scene::{Drawn, LAYERS, Scene};
 use super::shade::Shader;
 
 /// Pixel rows in a band: enough that little is made twice, few enough that its samples stay in a core's cache.
 pub(super) const ROWS: usize = 32;
 
-/// Marks a sample with glass before whatever else is there.
-const GLASS: u32 = NOTHING - 1;
+/// Bands of a picture.
+pub(super) fn count(size: ImageSize) -> usize {
+    size.height.div_ceil(ROWS)
+}
 
-/// The places of samples in a pixel (u, v): its upper left corner (2u, 2v), the middles of its upper and its left
-/// edge, its centre. Samples of a kind are kept together, so that neighbours lie at fixed distances.
-const CORNER: usize = 0;
-const UPPER: usize = 1;
-const LEFT: usize = 2;
-const CENTRE: usize = 3;
+/// Which of some bands need some samples.
+pub(super) fn reached(samples: &Region, bands: usize) -> Range<usize> {
+    // A band has the sample row above its own and two below.
+    samples.top.saturating_sub(2) / (2 * ROWS)..bands.min(samples.bottom / (2 * ROWS) + 1)
+}
 
 /// Memory of a band, kept by its thread for the next one.
 struct Scratch {
+    /// The triangles of the band, sorted by depth.
+    layers: [Vec<Drawn>; LAYERS],
     solid: Buffer,
     glass: Buffer,
-    /// Of every kind of sample: the mesh it shows, [`GLASS`] or [`NOTHING`].
-    meshes: [Vec<u32>; 4],
-    /// Of every kind of sample: its light.
-    lights: [Vec<Vector3<f32>>; 4],
+    planes: Planes,
+    /// Places in the planes that are to be shaded: row and column.
+    shaded: Vec<(usize, usize)>,
+    /// Light of a row of pixels.
+    row: Vec<[f32; 3]>,
 }
 
 thread_local! {
@@ -61,13 +68,13 @@ pub(super) fn draw<T>(
     let Some(frame) = Frame::new(scene, top, top + rows.link.len() / width.max(1)) else { return };
     let scratch = SCRATCH.take().unwrap_or_else(|| Box::new(Scratch::new(scene.grid)));
     let mut band = Band { scene, behind, frame, scratch, shader: Shader::new(scene) };
-    band.rasterise();
-    band.find_meshes();
-    band.measure(top, &mut rows);
-    band.fill_lights();
+    band.rasterise(top / ROWS);
+    band.find_surfaces();
+    band.fill_lights(top, &mut rows);
     for v in frame.top..frame.bottom {
-        for u in frame.left..frame.right {
-            rows.colours[(v - top) * width + u] = encode(&band.resolve(u, v));
+        let colours = &mut rows.colours[(v - top) * width..][frame.left..frame.right];
+        for (colour, light) in colours.iter_mut().zip(band.resolve(v)) {
+            *colour = encode(&Vector3::from(*light));
         }
     }
     SCRATCH.set(Some(band.scratch));
@@ -104,8 +111,9 @@ impl Frame {
         self.right - self.left + 2
     }
 
-    fn pixels(&self) -> usize {
-        self.columns() * (self.bottom - self.top + 2)
+    /// Rows of the grid of pixels, likewise.
+    fn rows(&self) -> usize {
+        self.bottom - self.top + 2
     }
 
     /// Index of a pixel in the grid.
@@ -122,10 +130,12 @@ impl Frame {
 impl Scratch {
     fn new(grid: Grid) -> Self {
         Self {
+            layers: Default::default(),
             solid: Buffer::new(grid),
             glass: Buffer::new(grid),
-            meshes: Default::default(),
-            lights: Default::default(),
+            planes: Planes::default(),
+            shaded: Vec::new(),
+            row: Vec::new(),
         }
     }
 }
@@ -139,123 +149,80 @@ struct Band<'s> {
 }
 
 impl Band<'_> {
-    fn rasterise(&mut self) {
+    /// Finds the nearest triangles of a band, from near to far: what is hidden needs no drawing.
+    fn rasterise(&mut self, band: usize) {
         let (scene, region) = (self.scene, self.frame.samples);
-        let Scratch { solid, glass, .. } = &mut *self.scratch;
+        let Scratch { layers, solid, glass, .. } = &mut *self.scratch;
         solid.clear(scene.grid, region);
         glass.clear(
             scene.grid,
             if scene.has_glass { region } else { Region { bottom: region.top, ..region } },
         );
-        for (id, drawn) in (0u32..).zip(&scene.drawn).filter(|(_, drawn)| drawn.reaches(&region)) {
-            let buffer =
-                if scene.instances[drawn.instance as usize].is_glass { &mut *glass } else { &mut *solid };
-            buffer.draw(scene.corners(drawn), drawn.bounds().rows(region.top, region.bottom), id);
+        for drawn in scene.drawn(band) {
+            layers[scene.layer(drawn.nearness)].push(*drawn);
+        }
+        for layer in layers {
+            for drawn in layer.drain(..) {
+                let instance = &scene.instances[drawn.instance as usize];
+                let buffer = if instance.is_glass { &mut *glass } else { &mut *solid };
+                let bounds = drawn.bounds().rows(region.top, region.bottom);
+                if !buffer.hides(&bounds, drawn.nearness) {
+                    buffer.draw(instance.corners(drawn.index as usize), bounds, drawn.index);
+                }
+            }
+            solid.look_again();
+            glass.look_again();
         }
     }
 
     /// Sorts what samples show by their place in the pixel.
-    fn find_meshes(&mut self) {
+    fn find_surfaces(&mut self) {
         let (frame, scene) = (self.frame, self.scene);
-        let Scratch { solid, glass, meshes, .. } = &mut *self.scratch;
-        for plane in &mut *meshes {
-            plane.clear();
-            plane.resize(frame.pixels(), NOTHING);
-        }
+        let Scratch { solid, glass, planes, .. } = &mut *self.scratch;
+        planes.clear(frame.columns(), frame.rows());
         let region = frame.samples;
+        let mut instance = &scene.instances[0];
         for j in region.top..region.bottom {
             let glass = if scene.has_glass { glass.row(j) } else { &[] };
-            for (n, (i, &triangle)) in (region.left..region.right).zip(solid.row(j)).enumerate() {
-                let mesh = match (triangle, glass.get(n)) {
-                    (_, Some(&pane)) if pane != NOTHING => GLASS,
-                    (NOTHING, _) => continue,
-                    _ => scene.drawn[triangle as usize].instance,
-                };
-                meshes[2 * (j % 2) + i % 2][frame.at(i / 2, j / 2)] = mesh;
-            }
-        }
-    }
-
-    /// Fills depth, normals and link ids of a view.
-    fn measure<T>(&mut self, top: usize, rows: &mut Rows<'_, T>) {
-        let width = self.scene.camera.size.width;
-        for v in self.frame.top..self.frame.bottom {
-            for u in self.frame.left..self.frame.right {
-                let Some((triangle, depth)) = self.nearest(2 * u + 1, 2 * v + 1) else { continue };
-                let at = (v - top) * width + u;
-                rows.depth[at] = depth;
-                (rows.normals_in_world[at], rows.link[at]) = self.shader.normal(triangle);
-            }
-        }
-    }
-
-    /// The nearest surface at a sample, glass or not.
-    fn nearest(&self, i: usize, j: usize) -> Option<(u32, f32)> {
-        match (self.scratch.solid.get(i, j), self.scratch.glass.get(i, j)) {
-            (Some(solid), Some(glass)) => Some(if glass.1 < solid.1 { glass } else { solid }),
-            (one, other) => one.or(other),
-        }
-    }
-
-    /// Finds the light at every sample.
-    ///
-    /// Pixel centres are shaded. Between centres of one mesh light is interpolated, of textured ones the corners
-    /// between four pixels are shaded too: twice a pixel is enough for both. Everything else is shaded.
-    fn fill_lights(&mut self) {
-        self.fill_background();
-        let Frame { left, top, bottom, .. } = self.frame;
-        let columns = self.frame.columns();
-        let height = bottom - top + 2;
-        let down = columns as isize;
-        // Kind of sample, the rows of pixels that need it, and the kinds and places of its neighbours.
-        let kinds = [
-            (CENTRE, 0..height, None),
-            (CORNER, 1..height, Some([(CENTRE, -down - 1), (CENTRE, -down), (CENTRE, -1), (CENTRE, 0)])),
-            (UPPER, 1..height, Some([(CORNER, 0), (CORNER, 1), (CENTRE, -down), (CENTRE, 0)])),
-            (LEFT, 1..height - 1, Some([(CENTRE, -1), (CENTRE, 0), (CORNER, 0), (CORNER, down)])),
-        ];
-        for (kind, rows, neighbours) in kinds {
-            for row in rows {
-                for column in 1..columns {
-                    let at = row * columns + column;
-                    let Scratch { meshes, lights, .. } = &*self.scratch;
-                    let mesh = meshes[kind][at];
-                    if mesh == NOTHING {
-                        continue;
+            for (n, (i, &number)) in (region.left..region.right).zip(solid.row(j)).enumerate() {
+                let surface = match (number, glass.get(n)) {
+                    (_, Some(&pane)) if pane != 0 => GLASS,
+                    (0, _) => continue,
+                    _ => {
+                        let triangle = number as usize - 1;
+                        if !instance.triangles().contains(&triangle) {
+                            instance = scene.instance(triangle);
+                        }
+                        instance.surface
                     }
-                    let between = neighbours.filter(|_| {
-                        mesh != GLASS && (kind != CORNER || self.scene.instances[mesh as usize].is_even)
-                    });
-                    let between = between.map(|n| n.map(|(kind, way)| (kind, at.wrapping_add_signed(way))));
-                    let light = match between.filter(|n| n.iter().all(|&(k, n)| meshes[k][n] == mesh)) {
-                        Some(n) => {
-                            let [a, b, c, d] = n.map(|(kind, at)| lights[kind][at]);
-                            (a + b + c + d) * 0.25
-                        }
-                        None => {
-                            let (i, j) = (2 * (left + column - 1) + kind % 2, 2 * (top + row) - 2 + kind / 2);
-                            let background = lights[kind][at];
-                            self.sample(i, j, background)
-                        }
-                    };
-                    self.scratch.lights[kind][at] = light;
-                }
+                };
+                planes.surfaces[2 * (j % 2) + i % 2][frame.at(i / 2, j / 2)] = surface;
             }
+        }
+    }
+
+    /// Finds the light at every sample, and depth, normals and link ids of the view.
+    fn fill_lights<T>(&mut self, top: usize, rows: &mut Rows<'_, T>) {
+        self.fill_background();
+        for kind in KINDS {
+            self.scratch.shaded.clear();
+            self.scratch.planes.interpolate(kind, &mut self.scratch.shaded);
+            self.shade(kind, top, rows);
         }
     }
 
     fn fill_background(&mut self) {
         let (frame, size) = (self.frame, self.scene.camera.size);
-        for plane in &mut self.scratch.lights {
+        for plane in &mut self.scratch.planes.lights {
             plane.clear();
             match self.behind {
-                Behind::Plain(colour) => plane.resize(frame.pixels(), *colour),
+                Behind::Plain(colour) => plane.resize(frame.columns() * frame.rows(), (*colour).into()),
                 Behind::Picture(..) => {
                     for v in frame.top..frame.bottom + 2 {
                         let v = v.saturating_sub(1).min(size.height - 1) as u32;
                         plane.extend((frame.left..frame.right + 2).map(|u| {
                             let u = u.saturating_sub(1).min(size.width - 1) as u32;
-                            self.behind.at(Pixel { u, v })
+                            <[f32; 3]>::from(self.behind.at(Pixel { u, v }))
                         }));
                     }
                 }
@@ -263,48 +230,83 @@ impl Band<'_> {
         }
     }
 
-    /// Light at one sample.
-    fn sample(&mut self, i: usize, j: usize, background: Vector3<f32>) -> Vector3<f32> {
-        let ray = self.scene.grid.ray(i, j);
-        let solid = self.scratch.solid.get(i, j);
-        let glass = self.scratch.glass.get(i, j);
-        let light = solid.map_or(background, |(triangle, depth)| self.shader.shade(triangle, ray * depth).0);
-        match glass {
-            Some((triangle, depth)) if solid.is_none_or(|s| depth < s.1) => {
-                let (tint, opacity) = self.shader.shade(triangle, ray * depth);
-                light.lerp(&tint, opacity)
+    /// Shades the samples of a kind that are to be shaded, first what is solid, then the glass before it.
+    fn shade<T>(&mut self, kind: usize, top: usize, rows: &mut Rows<'_, T>) {
+        let Self { scene, frame, shader, .. } = self;
+        let Scratch { solid, glass, planes, shaded, .. } = &mut *self.scratch;
+        let width = scene.camera.size.width;
+        let columns = frame.columns();
+        let lights = &mut planes.lights[kind];
+        for panes in [false, true].into_iter().take(1 + usize::from(scene.has_glass)) {
+            for &(row, column) in &*shaded {
+                let (u, v) = (frame.left + column - 1, frame.top + row - 1);
+                let (i, j) = (2 * u + kind % 2, 2 * v + kind / 2);
+                let mut seen = solid.get(i, j);
+                if panes {
+                    seen = glass.get(i, j).filter(|pane| seen.is_none_or(|solid| pane.1 < solid.1));
+                }
+                let Some((triangle, depth)) = seen else { continue };
+                shader.shade(triangle, scene.grid.ray(i, j) * depth, row * columns + column, lights);
+                if kind == CENTRE && (frame.top..frame.bottom).contains(&v) {
+                    let at = (v - top) * width + u;
+                    rows.depth[at] = depth;
+                    (rows.normals_in_world[at], rows.link[at]) = shader.normal(triangle);
+                }
             }
-            _ => light,
+            shader.flush(lights);
         }
     }
 
-    /// Light of a pixel: its samples through a tent as wide as two pixels.
-    fn resolve(&self, u: usize, v: usize) -> Vector3<f32> {
-        let (at, below) = (self.frame.at(u, v), self.frame.at(u, v + 1));
-        let [corner, upper, left, centre] = &self.scratch.lights;
-        let mut rows = [
-            [corner[at], upper[at], corner[at + 1]],
-            [left[at], centre[at], left[at + 1]],
-            [corner[below], upper[below], corner[below + 1]],
-        ];
-        if let Behind::Picture(..) = self.behind
-            && !self.frame.is_inside(u, v, &self.scene.region)
-        {
-            // Outside of the region every pixel has its own background only.
-            let region = &self.scene.region;
-            let background = self.behind.at(Pixel { u: u as u32, v: v as u32 });
-            for (j, row) in (2 * v..).zip(&mut rows) {
-                for (i, light) in (2 * u..).zip(row) {
-                    if i < region.left || i >= region.right || j < region.top || j >= region.bottom {
-                        *light = background;
+    /// Light of the pixels of a row.
+    fn resolve(&mut self, v: usize) -> &[[f32; 3]] {
+        let Self { scene, behind, frame, .. } = self;
+        let Scratch { planes, row, .. } = &mut *self.scratch;
+        row.resize(frame.right - frame.left, [0.0; 3]);
+        filter(planes.around(frame.at(frame.left, v), row.len()), row);
+        if let Behind::Picture(..) = behind {
+            let region = &scene.region;
+            for (u, light) in (frame.left..frame.right).zip(&mut *row) {
+                if frame.is_inside(u, v, region) {
+                    continue;
+                }
+                // Outside of the region every pixel has its own background only.
+                let background = behind.at(Pixel { u: u as u32, v: v as u32 }).into();
+                let mut samples = planes.around(frame.at(u, v), 1).map(|row| row.map(|light| light[0]));
+                for (j, samples) in (2 * v..).zip(&mut samples) {
+                    for (i, sample) in (2 * u..).zip(samples) {
+                        if i < region.left || i >= region.right || j < region.top || j >= region.bottom {
+                            *sample = background;
+                        }
                     }
                 }
+                filter(
+                    samples.each_ref().map(|row| row.each_ref().map(slice::from_ref)),
+                    slice::from_mut(light),
+                );
             }
         }
-        let mut sum = Vector3::zeros();
-        for ([a, b, c], weight) in rows.into_iter().zip([0.25, 0.5, 0.25]) {
-            sum += (a + b * 2.0 + c) * (0.25 * weight);
+        row
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triangles_reach_the_bands_that_need_their_samples() {
+        let (height, bands) = (100, 4);
+        assert_eq!(count(ImageSize { width: 7, height }), bands);
+        for top in 0..2 * height + 1 {
+            for bottom in top + 1..=2 * height + 1 {
+                let samples = Region { left: 0, top, right: 9, bottom };
+                let needs = |band: &usize| {
+                    let (first, end) = (band * ROWS, height.min((band + 1) * ROWS));
+                    !samples.rows((2 * first).saturating_sub(1), 2 * end + 2).is_empty()
+                };
+                let expected: Vec<usize> = (0..bands).filter(needs).collect();
+                assert_eq!(reached(&samples, bands).collect::<Vec<_>>(), expected, "rows {top} to {bottom}");
+            }
         }
-        sum
     }
 }

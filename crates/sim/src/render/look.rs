@@ -1,6 +1,5 @@
 //! What may differ between two pictures of the same scene: light, paint, background, sensor.
 
-use nalgebra::Vector3;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use where2act_core::Seed;
@@ -84,46 +83,4 @@ fn random_lights(rng: &mut impl Rng) -> (f32, Vec<Light>) {
         })
         .collect();
     (ambient, lights)
-}
-
-/// A surface as shading sees it, in linear light.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Surface {
-    pub(super) albedo: Vector3<f32>,
-    pub(super) specular: f32,
-    pub(super) shininess: f32,
-}
-
-impl Look {
-    /// Light that a surface sends to the camera. All in the camera frame; `normal` is a unit vector on the viewer's
-    /// side, `up` the world's z axis, `lights` positions and colours.
-    pub(super) fn shade(
-        surface: &Surface,
-        point: &Vector3<f32>,
-        normal: &Vector3<f32>,
-        (ambient, up): (f32, &Vector3<f32>),
-        lights: &[(Vector3<f32>, Vector3<f32>)],
-    ) -> Vector3<f32> {
-        // Surfaces that face the ceiling get a little more of the light from everywhere.
-        let mut diffuse = Vector3::repeat(ambient * (0.85 + 0.15 * normal.dot(up)));
-        let mut highlight = Vector3::zeros();
-        let to_camera = -point * point.norm_squared().sqrt().recip();
-        for (position, colour) in lights {
-            let offset = position - point;
-            let to_light = offset * offset.norm_squared().sqrt().recip();
-            let facing = normal.dot(&to_light);
-            if facing <= 0.0 {
-                continue;
-            }
-            diffuse += colour * facing;
-            if surface.specular > 0.0 {
-                let half = to_light + to_camera;
-                let cosine = normal.dot(&half) / half.norm().max(1e-6);
-                if cosine > 0.7 {
-                    highlight += colour * cosine.powf(surface.shininess);
-                }
-            }
-        }
-        surface.albedo.component_mul(&diffuse) + highlight * surface.specular
-    }
 }

@@ -1,10 +1,13 @@
 //! Pictures of objects: an own z-buffer rasteriser with deferred shading.
 //!
 //! Colours are sampled twice as densely as pixels in both directions and filtered with a tent; depth, normals and
-//! link ids are taken at pixel centres, which are among these samples. Bands of rows are drawn in parallel.
+//! link ids are taken at pixel centres, which are among these samples. Bands of rows are drawn in parallel, every band
+//! from near to far so that most of what is hidden is not drawn; colours are found for several samples at a time.
 
 mod backdrop;
 mod band;
+mod light;
+mod lit;
 mod look;
 mod paint;
 mod pattern;
@@ -12,6 +15,7 @@ mod raster;
 mod scene;
 mod sensor;
 mod shade;
+mod tiles;
 mod view;
 mod viewpoint;
 
@@ -59,23 +63,24 @@ pub fn render_with(
     look: &Look,
 ) -> View {
     let behind = look.backdrop.draw(camera, || visible_bounds(object, world_from_links));
-    let scene = Scene::new(object, world_from_links, extras, camera, look);
-    let mut view = View::empty(*camera);
-    let size = camera.size;
-    view.rgb = match behind {
-        // Most pictures are mostly white: what shows nothing needs no work.
-        Behind::Plain(colour) if look.sensor.is_plain() => {
-            let mut rgb = vec![sensor::code(&colour); size.pixels()];
-            draw(&scene, &behind, &mut view, &mut rgb, sensor::code);
-            rgb
-        }
-        _ => {
-            let mut lights: Vec<Vector3<f32>> =
-                (0..size.pixels()).map(|at| behind.at(pixel_at(size, at))).collect();
-            draw(&scene, &behind, &mut view, &mut lights, |light| *light);
-            look.sensor.expose(&lights, size)
-        }
+    // Most pictures are mostly white: what shows nothing needs no work.
+    let plain = match &behind {
+        Behind::Plain(colour) if look.sensor.is_plain() => Some(sensor::code(colour)),
+        _ => None,
     };
+    let place = || Scene::new(object, world_from_links, extras, camera, look);
+    let (scene, mut view) = rayon::join(place, || View::empty(*camera, plain));
+    if plain.is_some() {
+        let mut rgb = std::mem::take(&mut view.rgb);
+        draw(&scene, &behind, &mut view, &mut rgb, sensor::code);
+        view.rgb = rgb;
+    } else {
+        let size = camera.size;
+        let mut lights: Vec<Vector3<f32>> =
+            (0..size.pixels()).map(|at| behind.at(pixel_at(size, at))).collect();
+        draw(&scene, &behind, &mut view, &mut lights, |light| *light);
+        view.rgb = look.sensor.expose(&lights, size);
+    }
     view
 }
 

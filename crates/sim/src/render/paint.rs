@@ -66,11 +66,16 @@ impl Paint {
         self.texture.is_none() && self.grain.is_none()
     }
 
-    /// Linear colour at a texture coordinate and a point in the mesh frame.
-    pub(super) fn albedo(&self, uv: [f32; 2], point: impl FnOnce() -> Vector3<f32>) -> Vector3<f32> {
+    /// The texture around (u, v), v upwards, repeating; nothing without a texture.
+    pub(super) fn texels(&self, uv: [f32; 2]) -> Texels {
+        self.texture.as_ref().map_or(Texels::default(), |texture| Texels::new(texture, uv))
+    }
+
+    /// Linear colour where the texture is `texels`, at a point in the mesh frame.
+    pub(super) fn albedo(&self, texels: &Texels, point: impl FnOnce() -> Vector3<f32>) -> Vector3<f32> {
         let mut albedo = self.colour;
-        if let Some(texture) = &self.texture {
-            albedo.component_mul_assign(&bilinear(texture, uv));
+        if self.texture.is_some() {
+            albedo.component_mul_assign(&texels.blended());
         }
         if let Some(grain) = &self.grain {
             albedo *= grain.at(&point());
@@ -79,28 +84,44 @@ impl Paint {
     }
 }
 
-/// Texture at (u, v), v upwards, repeating.
-fn bilinear(texture: &RgbImage, [u, v]: [f32; 2]) -> Vector3<f32> {
-    let (w, h) = (texture.width() as usize, texture.height() as usize);
-    let along = |t: f32, n: usize| {
-        let x = (t - floor(t)) * n as f32 - 0.5;
-        let low = floor(x);
-        // From -1 to n - 1.
-        let first = if low < 0.0 { n - 1 } else { (low as usize).min(n - 1) };
-        (first, if first + 1 == n { 0 } else { first + 1 }, x - low)
-    };
-    let (x0, x1, tx) = along(u, w);
-    let (y0, y1, ty) = along(1.0 - v, h);
-    let linear = decoder();
-    let raw = texture.as_raw();
-    let texel = |x: usize, y: usize| {
-        let at = (y * w + x) * 3;
-        let [r, g, b] = [raw[at], raw[at + 1], raw[at + 2]].map(|code| linear[usize::from(code)]);
-        Vector3::new(r, g, b)
-    };
-    let top = texel(x0, y0).lerp(&texel(x1, y0), tx);
-    let bottom = texel(x0, y1).lerp(&texel(x1, y1), tx);
-    top.lerp(&bottom, ty)
+/// Four neighbours in a texture. Reading and using them apart, several at a time, hides how far memory is.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Texels {
+    /// Upper left and right, lower left and right.
+    codes: [[u8; 3]; 4],
+    /// Where between them the point is, from the upper left one on.
+    right: f32,
+    down: f32,
+}
+
+impl Texels {
+    fn new(texture: &RgbImage, [u, v]: [f32; 2]) -> Self {
+        let (w, h) = (texture.width() as usize, texture.height() as usize);
+        let along = |t: f32, n: usize| {
+            let x = (t - floor(t)) * n as f32 - 0.5;
+            let low = floor(x);
+            // From -1 to n - 1.
+            let first = if low < 0.0 { n - 1 } else { (low as usize).min(n - 1) };
+            (first, if first + 1 == n { 0 } else { first + 1 }, x - low)
+        };
+        let (x0, x1, right) = along(u, w);
+        let (y0, y1, down) = along(1.0 - v, h);
+        let (texels, _) = texture.as_raw().as_chunks();
+        let codes = [texels[y0 * w + x0], texels[y0 * w + x1], texels[y1 * w + x0], texels[y1 * w + x1]];
+        Self { codes, right, down }
+    }
+
+    /// Their colour at the point, in linear light.
+    fn blended(&self) -> Vector3<f32> {
+        let linear = decoder();
+        let light = |[r, g, b]: [u8; 3]| {
+            Vector3::new(linear[usize::from(r)], linear[usize::from(g)], linear[usize::from(b)])
+        };
+        let [a, b, c, d] = self.codes;
+        let top = light(a).lerp(&light(b), self.right);
+        let bottom = light(c).lerp(&light(d), self.right);
+        top.lerp(&bottom, self.down)
+    }
 }
 
 #[cfg(test)]
@@ -112,10 +133,11 @@ mod tests {
         let mut texture = RgbImage::new(2, 2);
         texture.put_pixel(0, 0, image::Rgb([255, 0, 0])); // top left: u = 0.25, v = 0.75
         texture.put_pixel(1, 1, image::Rgb([0, 0, 255])); // bottom right: u = 0.75, v = 0.25
-        assert_eq!(bilinear(&texture, [0.25, 0.75]), Vector3::new(1.0, 0.0, 0.0));
-        assert_eq!(bilinear(&texture, [0.75, 0.25]), Vector3::new(0.0, 0.0, 1.0));
-        assert_eq!(bilinear(&texture, [-2.25, 3.25]), Vector3::new(0.0, 0.0, 1.0));
-        assert_eq!(bilinear(&texture, [0.5, 0.5]), Vector3::new(0.25, 0.0, 0.25));
-        assert!(bilinear(&texture, [f32::NAN, f32::INFINITY]).iter().all(|c| c.is_nan() || *c >= 0.0));
+        let at = |uv| Texels::new(&texture, uv).blended();
+        assert_eq!(at([0.25, 0.75]), Vector3::new(1.0, 0.0, 0.0));
+        assert_eq!(at([0.75, 0.25]), Vector3::new(0.0, 0.0, 1.0));
+        assert_eq!(at([-2.25, 3.25]), Vector3::new(0.0, 0.0, 1.0));
+        assert_eq!(at([0.5, 0.5]), Vector3::new(0.25, 0.0, 0.25));
+        assert!(at([f32::NAN, f32::INFINITY]).iter().all(|c| c.is_nan() || *c >= 0.0));
     }
 }

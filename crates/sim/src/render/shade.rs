@@ -1,24 +1,29 @@
 //! Light from points of triangles.
 
 use nalgebra::{Point3, Vector3};
+use wide::f32x8;
 
-use super::look::{Look, Surface};
+use super::lit::{LANES, Lit, put};
+use super::paint::{Paint, Texels};
 use super::scene::{Instance, Scene};
 use super::towards_camera;
 
 /// What shading needs to know of a triangle, in the camera frame.
-struct Facet<'s> {
-    /// Index in [`Scene::drawn`].
+pub(super) struct Facet<'s> {
+    /// Index among all triangles of the scene.
     triangle: u32,
-    instance: &'s Instance<'s>,
+    pub(super) instance: &'s Instance<'s>,
     /// Its first corner.
-    origin: Point3<f32>,
+    pub(super) origin: Point3<f32>,
     /// Perpendicular to it, as long as twice its area.
-    face: Vector3<f32>,
+    pub(super) face: Vector3<f32>,
     /// Gradients of the first two barycentric coordinates.
-    slopes: [Vector3<f32>; 2],
+    pub(super) slopes: [Vector3<f32>; 2],
     /// At the corners, in the mesh frame.
-    normals: [Vector3<f32>; 3],
+    pub(super) normals: [Vector3<f32>; 3],
+    /// Columns of the rotation matrix.
+    pub(super) camera_from_mesh: [Vector3<f32>; 3],
+    /// Zero for surfaces of one colour.
     uvs: [[f32; 2]; 3],
     /// Unit normal in the world, on the camera's side, once it was asked for.
     normal_in_world: Option<Vector3<f32>>,
@@ -26,36 +31,48 @@ struct Facet<'s> {
 
 impl<'s> Facet<'s> {
     fn new(scene: &'s Scene<'s>, triangle: u32) -> Self {
-        let drawn = &scene.drawn[triangle as usize];
-        let instance = &scene.instances[drawn.instance as usize];
-        let [a, b, c] = scene.corners(drawn);
+        let index = triangle as usize;
+        let instance = scene.instance(index);
+        let [a, b, c] = instance.corners(index);
+        let vertices = instance.vertices(index);
         let face = (b - a).cross(&(c - a));
         let scale = face.norm_squared().recip();
-        let corners = instance.mesh.triangles[drawn.face as usize];
-        let normal = |corner: usize| instance.mesh.normals[corners[corner] as usize];
-        let uv = |corner: usize| instance.mesh.uvs[corners[corner] as usize];
+        let uv = |vertex: u32| instance.mesh.uvs[vertex as usize];
         Self {
             triangle,
             instance,
             origin: *a,
             face,
             slopes: [face.cross(&(c - b)) * scale, face.cross(&(a - c)) * scale],
-            normals: [normal(0), normal(1), normal(2)],
-            uvs: [uv(0), uv(1), uv(2)],
+            normals: vertices.map(|vertex| instance.mesh.normals[vertex as usize]),
+            camera_from_mesh: instance.rotation,
+            uvs: if instance.is_even { [[0.0; 2]; 3] } else { vertices.map(uv) },
             normal_in_world: None,
         }
     }
 }
 
-/// Shades the triangles of a scene. Remembers the last one: neighbouring samples mostly show the same.
+/// A point that is to be lit.
+struct Shown<'s> {
+    place: usize,
+    instance: &'s Instance<'s>,
+    paint: &'s Paint,
+    uvs: [[f32; 2]; 3],
+}
+
+/// Shades the triangles of a scene, some points at a time.
 pub(super) struct Shader<'s> {
     scene: &'s Scene<'s>,
+    /// Neighbouring samples mostly show the same triangle.
     last: Option<Facet<'s>>,
+    /// Less than [`LANES`] points.
+    lit: Lit,
+    shown: Vec<Shown<'s>>,
 }
 
 impl<'s> Shader<'s> {
     pub(super) fn new(scene: &'s Scene<'s>) -> Self {
-        Self { scene, last: None }
+        Self { scene, last: None, lit: Lit::default(), shown: Vec::with_capacity(LANES) }
     }
 
     fn facet(&mut self, triangle: u32) -> &mut Facet<'s> {
@@ -73,32 +90,50 @@ impl<'s> Shader<'s> {
         (*normal_in_world.get_or_insert_with(normal), instance.link)
     }
 
-    /// Light from a point of a triangle, in the camera frame, and how much it hides.
-    pub(super) fn shade(&mut self, triangle: u32, point: Vector3<f32>) -> (Vector3<f32>, f32) {
-        let scene = self.scene;
-        let Facet { instance, origin, face, slopes, normals, uvs, .. } = &*self.facet(triangle);
-        let offset = point - origin.coords;
-        let wa = (1.0 + slopes[0].dot(&offset)).clamp(0.0, 1.0);
-        let wb = slopes[1].dot(&offset).clamp(0.0, 1.0);
-        let weights = [wa, wb, (1.0 - wa - wb).max(0.0)];
-        let mut normal = Vector3::zeros();
-        let mut uv = [0.0; 2];
-        for ((weight, corner_normal), corner_uv) in weights.into_iter().zip(normals).zip(uvs) {
-            normal += corner_normal * weight;
-            uv[0] += corner_uv[0] * weight;
-            uv[1] += corner_uv[1] * weight;
+    /// Shades a point of a triangle, in the camera frame, that is seen at a place of `lights`: they change now or when
+    /// the shader is [flushed](Self::flush).
+    pub(super) fn shade(
+        &mut self,
+        triangle: u32,
+        point: Vector3<f32>,
+        place: usize,
+        lights: &mut [[f32; 3]],
+    ) {
+        self.facet(triangle);
+        if let Some(facet) = &self.last {
+            let paint = &self.scene.paints[facet.instance.paint];
+            self.lit.set(self.shown.len(), &point, facet, paint);
+            self.shown.push(Shown { place, instance: facet.instance, paint, uvs: facet.uvs });
         }
-        let face = towards_camera(*face, &Point3::from(point));
-        let normal = instance.rotation * normal;
-        let normal = if normal.dot(&face) < 0.0 { -normal } else { normal };
-        let normal = normal.try_normalize(1e-3).unwrap_or_else(|| face.normalize());
-        let paint = &scene.paints[instance.paint];
-        let in_mesh = || instance.camera_from_mesh.inverse_transform_point(&Point3::from(point)).coords;
-        let surface = Surface {
-            albedo: paint.albedo(uv, in_mesh),
-            specular: paint.specular,
-            shininess: paint.shininess,
-        };
-        (Look::shade(&surface, &point, &normal, (scene.ambient, &scene.up), &scene.lights), paint.opacity)
+        if self.shown.len() == LANES {
+            self.flush(lights);
+        }
+    }
+
+    /// Lights what was shaded since the last time.
+    pub(super) fn flush(&mut self, lights: &mut [[f32; 3]]) {
+        if self.shown.is_empty() {
+            return;
+        }
+        let Self { scene, lit, shown, .. } = self;
+        let weights = lit.weights();
+        let [a, b, c] = weights.map(f32x8::to_array);
+        let mut texels = [Texels::default(); LANES];
+        for (lane, Shown { paint, uvs, .. }) in shown.iter().enumerate() {
+            let along =
+                |axis: usize| uvs[0][axis] * a[lane] + uvs[1][axis] * b[lane] + uvs[2][axis] * c[lane];
+            texels[lane] = paint.texels([along(0), along(1)]);
+        }
+        let mut albedo = [f32x8::ZERO; 3];
+        for (lane, Shown { instance, paint, .. }) in shown.iter().enumerate() {
+            let in_mesh = || instance.camera_from_mesh.inverse_transform_point(&lit.point(lane)).coords;
+            put(&mut albedo, lane, &paint.albedo(&texels[lane], in_mesh));
+        }
+        let light = lit.light(scene, &weights, &albedo).map(f32x8::to_array);
+        for (lane, Shown { place, paint: &Paint { opacity, .. }, .. }) in shown.drain(..).enumerate() {
+            for (channel, light) in lights[place].iter_mut().zip(&light) {
+                *channel = light[lane] * opacity + *channel * (1.0 - opacity);
+            }
+        }
     }
 }

@@ -200,6 +200,27 @@ fn meshes_are_tight_from_all_sides_and_edges_are_blended() {
 }
 
 #[test]
+fn a_wall_that_faces_camera_and_light_is_as_bright_as_it_should_be() {
+    let wall = rectangle([0.0, 1.0, -1.0], [0.0, -2.0, 0.0], [0.0, 0.0, 2.0]);
+    let look = Look {
+        ambient: 0.2,
+        lights: vec![Light { position: [-5.0, 0.0, 0.0], colour: [0.4, 0.5, 0.1] }],
+        ..Look::default()
+    };
+    for specular in [0.0, 0.3] {
+        let material = Material { specular, ..material([1.0, 0.5, 0.2]) };
+        let object = object(vec![vec![(wall.clone(), 0)]], vec![material.clone()]);
+        let view = render(&object, &poses(&object), &front_camera(), &look);
+        let expected: [f32; 3] = std::array::from_fn(|c| {
+            let light = look.lights[0].colour[c];
+            // A vertical wall has 0.85 of the light from everywhere.
+            sensor::linear(material.colour[c]) * (0.85 * 0.2 + light) + specular * light
+        });
+        assert_eq!(view.rgb[view.camera.size.index(middle())], sensor::code(&Vector3::from(expected)));
+    }
+}
+
+#[test]
 fn glass_is_solid_for_depth_and_lets_light_through() {
     let pane = rectangle([0.0, 1.0, -1.0], [0.0, -2.0, 0.0], [0.0, 0.0, 2.0]);
     let behind = rectangle([0.5, 1.0, -1.0], [0.0, -2.0, 0.0], [0.0, 0.0, 2.0]);

@@ -20,12 +20,12 @@ pub struct View {
 }
 
 impl View {
-    /// A view of nothing, without colours.
-    pub(super) fn empty(camera: Camera) -> Self {
+    /// A view of nothing in one colour; without colours for now if there is none.
+    pub(super) fn empty(camera: Camera, colour: Option<[u8; 3]>) -> Self {
         let pixels = camera.size.pixels();
         Self {
             camera,
-            rgb: Vec::new(),
+            rgb: colour.map_or(Vec::new(), |colour| vec![colour; pixels]),
             depth: vec![0.0; pixels],
             normals_in_world: vec![Vector3::zeros(); pixels],
             link: vec![0; pixels],
