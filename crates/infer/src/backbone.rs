@@ -4,7 +4,7 @@ use std::ops::Deref;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use where2act_model::preprocess::CloudInput;
-use where2act_model::{Engine, Features, ModelConfig, Network};
+use where2act_model::{Engine, Features, LastLayer, ModelConfig, Network};
 
 use crate::Error;
 
@@ -45,7 +45,7 @@ pub(crate) enum Backbone {
     Burn(Box<Network>, Device),
 }
 
-/// Features of every pixel or point, `[n, features]`.
+/// Features of every pixel or point, `[n, features]`, or what the last layer would make them of.
 pub(crate) enum Rows<'a> {
     Fast(Features<'a>),
     Burn(Vec<f32>),
@@ -63,10 +63,14 @@ impl Deref for Rows<'_> {
 }
 
 impl Backbone {
-    pub(crate) fn new(network: Network, backend: Backend) -> Result<Self, Error> {
+    /// The backbone, and its last layer if that is left to the heads.
+    pub(crate) fn new(network: Network, backend: Backend) -> Result<(Self, Option<LastLayer>), Error> {
         match backend {
-            Backend::Fast => Ok(Self::Fast(Box::new(Engine::compile(&network).map_err(failed)?))),
-            Backend::Flex | Backend::Ndarray => Ok(Self::Burn(Box::new(network), backend.device())),
+            Backend::Fast => {
+                let (engine, last) = Engine::open(&network).map_err(failed)?;
+                Ok((Self::Fast(Box::new(engine)), last))
+            }
+            _ => Ok((Self::Burn(Box::new(network), backend.device()), None)),
         }
     }
 

@@ -12,7 +12,7 @@ use crate::nearest::NearestIndex;
 pub struct DenseMaps<'a> {
     pub(crate) observation: &'a Observation,
     pub(crate) primitives: Vec<Primitive>,
-    /// `[rows, primitives]`, in [0, 1].
+    /// `[primitives, rows]`, in [0, 1].
     pub(crate) values: Vec<f32>,
     pub(crate) geometry: Geometry,
 }
@@ -102,7 +102,8 @@ impl DenseMaps<'_> {
     }
 
     fn value(&self, row: usize, output: usize) -> f32 {
-        self.values.get(row * self.primitives.len() + output).copied().unwrap_or(0.0)
+        let rows = self.values.len() / self.primitives.len();
+        self.values.get(output * rows + row).copied().unwrap_or(0.0)
     }
 
     fn bilinear(&self, letterbox: &Letterbox, output: usize, x: f32, y: f32) -> f32 {

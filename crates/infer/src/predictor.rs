@@ -71,9 +71,11 @@ impl Predictor {
     pub fn from_weights(weights: where2act_model::Weights, backend: Backend) -> Result<Self, Error> {
         let where2act_model::Weights { network, sha256 } = weights;
         let config = network.config().clone();
-        let heads = DecodingHeads::new(&network.heads, &config)?;
+        let decoders = network.heads.clone();
+        let (backbone, last) = Backbone::new(network, backend)?;
+        let heads = DecodingHeads::new(&decoders, &config, last.as_ref())?;
         let model = ModelInfo { name: config.name.clone(), sha256 };
-        Ok(Self { backbone: Backbone::new(network, backend)?, heads, config, model })
+        Ok(Self { backbone, heads, config, model })
     }
 
     /// What the network is.
@@ -123,7 +125,7 @@ impl Predictor {
         let preprocessed = Instant::now();
         let features = self.backbone.features(&prepared.input, &self.config)?;
         let looked = Instant::now();
-        let logits = self.heads.actionability(&features)?;
+        let logits = self.heads.actionability(&features, &prepared.shown())?;
         let codes = self.heads.codes(options.samples, options.seed);
         let values: Vec<f32> = logits.par_iter().with_min_len(4096).map(|&logit| sigmoid(logit)).collect();
         let known = Known {
@@ -199,10 +201,12 @@ impl Predictor {
         options: &Options,
     ) -> Result<PrimitivePrediction, Error> {
         let Known { prepared, features, logits, values, codes } = known;
-        let primitives = self.config.primitives.len();
-        let logit =
-            |row: u32| logits.get(row as usize * primitives + output).copied().unwrap_or(f32::NEG_INFINITY);
-        let value = |row: u32| values.get(row as usize * primitives + output).copied().unwrap_or(0.0);
+        let count = logits.len() / self.config.primitives.len();
+        let own = output * count..(output + 1) * count;
+        let logits = logits.get(own.clone()).unwrap_or_default();
+        let values = values.get(own).unwrap_or_default();
+        let logit = |row: u32| logits.get(row as usize).copied().unwrap_or(f32::NEG_INFINITY);
+        let value = |row: u32| values.get(row as usize).copied().unwrap_or(0.0);
         let candidates: Vec<u32> = match prepared.asked_row {
             Some(row) => vec![row],
             None => prepared.places.best(logit, options.candidates),
@@ -221,7 +225,7 @@ impl Predictor {
                 }
             }
         }
-        let chosen = select(scored, options);
+        let chosen = select(&scored, options);
         let proposals: Vec<Proposal> = chosen
             .into_iter()
             .enumerate()
@@ -254,6 +258,7 @@ impl Predictor {
 struct Known<'a> {
     prepared: &'a Prepared<'a>,
     features: &'a [f32],
+    /// `[primitives, rows]`, as the values.
     logits: &'a [f32],
     values: &'a [f32],
     codes: &'a Codes,

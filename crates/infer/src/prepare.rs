@@ -1,8 +1,10 @@
 //! From an observation to what the network sees, and the way back.
 
+use std::ops::Range;
+
 use nalgebra::Point3;
 use where2act_core::{ImageSize, Observation, Pixel};
-use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
+use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError};
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::NetworkInput;
@@ -131,6 +133,17 @@ impl<'a> Prepared<'a> {
             pixels,
             depth: None,
         })
+    }
+
+    /// Rows of the network's output that show the input: all but the letterbox's bars.
+    pub(crate) fn shown(&self) -> Vec<Range<usize>> {
+        match &self.geometry {
+            Geometry::Grid(Letterbox { side, inner, offset: (left, top), .. }) => {
+                let start = |row: usize| (top + row) * side + left;
+                (0..inner.height).map(|row| start(row)..start(row) + inner.width).collect()
+            }
+            Geometry::Points { index, .. } => std::iter::once(0..index.points().len()).collect(),
+        }
     }
 
     /// Where a row of the network's output is on the input.

@@ -37,7 +37,8 @@ fn maps(observation: &Observation) -> DenseMaps<'_> {
         let (x, y) = ((row % 64) as f32 - 40.0, (row / 64) as f32 - 24.0);
         (-0.02 * (x * x + y * y)).exp() * 0.9
     };
-    let values = (0..64 * 64).flat_map(|row| [hill(row), 0.3 * hill(row)]).collect();
+    let values =
+        [1.0, 0.3].into_iter().flat_map(|height| (0..64 * 64).map(move |row| height * hill(row))).collect();
     let primitives = vec![Primitive::Pulling, Primitive::PushingLeft];
     DenseMaps { observation, primitives, values, geometry: Geometry::Grid(letterbox) }
 }

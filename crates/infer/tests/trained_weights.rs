@@ -3,10 +3,10 @@
 
 use std::path::{Path, PathBuf};
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 use where2act_core::{Observation, Seed};
 use where2act_infer::read::{read_picture, read_scan};
-use where2act_kernels::{Isa, Lookup, Mlp, MlpInput};
+use where2act_kernels::Isa;
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
 use where2act_model::{Engine, Network, Weights};
 
@@ -19,11 +19,6 @@ fn repository(path: &str) -> PathBuf {
 
 fn network(name: &str) -> Network {
     Weights::load(&repository("weights").join(name), &Device::flex()).unwrap().network
-}
-
-fn rows(values: &[f32], width: usize) -> Tensor<2> {
-    let shape = [values.len() / width, width];
-    Tensor::from_data(TensorData::new(values.to_vec(), shape), &Device::flex())
 }
 
 fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {

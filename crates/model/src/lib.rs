@@ -29,7 +29,7 @@ mod unet;
 mod weights;
 
 pub use config::{ConfigError, Modality, ModelConfig, Preprocessing};
-pub use engine::{Engine, EngineError, Features};
+pub use engine::{Engine, EngineError, Features, LastLayer};
 pub use heads::{
     ActionabilityHead, Choice, Code, Heads, ProposalDecoder, ProposalEncoder, ProposalHead, ScoreHead,
     SplitLinear, rotation_matrix, to_axes,

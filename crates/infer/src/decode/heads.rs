@@ -1,98 +1,134 @@
 //! The heads of a network, laid out for prediction: what depends on a pixel only is computed once per pixel, what
 //! depends on a random code only once per prediction, and of the last layers only the primitive that is asked for.
 
+use std::ops::Range;
+
 use burn::nn::Linear;
-use burn::tensor::Tensor;
 use nalgebra::Rotation3;
 use rand::RngExt;
-use where2act_core::{Orientation6, Seed};
-use where2act_kernels::{Activation, Isa, Lookup, Mlp, MlpInput, MlpLayer, ShapeError};
-use where2act_model::{Heads, ModelConfig, SplitLinear};
+use rayon::prelude::*;
+use where2act_core::Seed;
+use where2act_kernels::{Isa, Lookup, Mlp, MlpInput, Perceptron, ShapeError};
+use where2act_model::{Heads, LastLayer, ModelConfig, ScoreHead};
 
+use super::frames::{self, LANES};
+use super::plain::Plain;
 use super::sigmoid;
 use crate::Error;
 
 /// Slope of the heads' hidden activation for negative numbers, as in the model crate.
-const LEAK: Activation = Activation::Leaky(0.01);
+const LEAK: f32 = 0.01;
+/// Numbers of a hand that an alignment weighs: approach, forward, left.
+const AXES: usize = 9;
+/// Those of them that the score sees without alignments too: approach, forward.
+const SEEN: usize = 6;
 
 /// Heads for prediction.
 pub(crate) struct DecodingHeads {
+    isa: Isa,
+    /// Numbers per row: features, or what the backbone's last layer makes them of.
     features: usize,
     /// Size of the hidden layers, rounded up to what the kernels look up.
     hidden: usize,
     latent: usize,
-    primitives: usize,
-    /// Feature -> logits, one per primitive.
-    actionability: Mlp,
+    /// Feature -> hidden layer of the actionability.
+    actionability: Plain,
+    /// Its logits, one per primitive.
+    logits: Output,
     /// Feature -> its share of the proposals' hidden layer.
     proposal_feature: Mlp,
-    /// Code -> six raw numbers, per primitive.
-    proposals: Vec<Mlp>,
+    /// What a code adds to the proposals' hidden layer, `[latent, hidden]`.
+    code: Vec<f32>,
+    /// Six raw numbers, per primitive.
+    proposals: Vec<Output>,
     /// Feature -> its share of the score's hidden layer.
     score_feature: Mlp,
-    /// Feature -> of every alignment the weights of a hand's approach, forward and left; `None` without alignments.
-    align: Option<Mlp>,
-    /// Orientation and alignments -> logit, per primitive.
-    scores: Vec<Mlp>,
+    /// What a hand's axes add to the score's hidden layer.
+    hand: Hand,
+    /// A logit, per primitive.
+    scores: Vec<Output>,
 }
 
-/// What the decoder draws orientations from, `[samples, latent]`.
-pub(crate) struct Codes(Vec<f32>);
+/// What the decoder draws orientations from.
+pub(crate) struct Codes {
+    samples: usize,
+    /// What they add to the proposals' hidden layer, `[hidden, samples]`, padded to whole vectors.
+    table: Vec<f32>,
+}
 
 /// An orientation and its score.
 pub(crate) type Tried = (Rotation3<f32>, f32);
 
+/// Outputs of a hidden layer.
+struct Output {
+    /// `[outputs, hidden]`.
+    weights: Vec<f32>,
+    bias: Vec<f32>,
+}
+
+/// The hand's half of the score's hidden layer.
+///
+/// Alignments are sums of axes whose weights a feature chooses, and the hidden layer's products with them are sums of
+/// axes again: for each feature one matrix, whatever the number of hands.
+struct Hand {
+    /// What axes add by themselves: `[SEEN, hidden]`, with alignments `[AXES, hidden]`.
+    axes: Vec<f32>,
+    /// Feature -> `[AXES, alignments]`, and alignments -> hidden.
+    align: Option<(Mlp, Mlp)>,
+}
+
 impl DecodingHeads {
-    pub(crate) fn new(heads: &Heads, config: &ModelConfig) -> Result<Self, Error> {
-        let ModelConfig { features, latent, .. } = *config;
-        let hidden = config.hidden.next_multiple_of(16);
+    /// `last` is the layer that the backbone leaves to the heads.
+    pub(crate) fn new(heads: &Heads, config: &ModelConfig, last: Option<&LastLayer>) -> Result<Self, Error> {
+        let (isa, hidden) = (Isa::best(), config.hidden.next_multiple_of(16));
+        let features = last.map_or(config.features, |last| last.weights.len() / last.bias.len().max(1));
         let primitives = config.primitives.len();
-        let head = Head { isa: Isa::best(), features, hidden, primitives };
-        let (proposal_feature, proposals) =
-            head.split(&heads.proposal.decoder.mlp1, &heads.proposal.decoder.mlp2)?;
-        let (score_feature, scores) = head.split(&heads.score.mlp1, &heads.score.mlp2)?;
-        let align = heads
-            .score
-            .align
-            .as_ref()
-            .map(|align| head.mlp(features, &[Plain::of(align)?.layer(Activation::Identity)]));
-        let a = &heads.actionability;
-        let layers = [Plain::of(&a.mlp1)?.widened(hidden), Plain::of(&a.mlp2)?.deepened(hidden)];
-        let actionability =
-            head.mlp(features, &[layers[0].layer(LEAK), layers[1].layer(Activation::Identity)])?;
+        let first = |linear: &Linear| -> Result<(Plain, Vec<f32>), Error> {
+            Ok(Plain::of(linear)?.widened(hidden).after(last).split(features))
+        };
+        let (actionability, _) = first(&heads.actionability.mlp1)?;
+        let (proposal_feature, code) = first(&heads.proposal.decoder.mlp1.linear)?;
+        let (score_feature, hand) = first(&heads.score.mlp1.linear)?;
+        let logits = Output::of(&heads.actionability.mlp2, 1, hidden)?;
         Ok(Self {
+            isa,
             features,
             hidden,
-            latent,
-            primitives,
+            latent: config.latent,
             actionability,
-            proposal_feature,
-            proposals,
-            score_feature,
-            align: align.transpose()?,
-            scores,
+            logits: logits.into_iter().next().unwrap_or(Output { weights: vec![], bias: vec![] }),
+            proposal_feature: mlp(isa, &proposal_feature)?,
+            code,
+            proposals: Output::of(&heads.proposal.decoder.mlp2, primitives, hidden)?,
+            score_feature: mlp(isa, &score_feature)?,
+            hand: Hand::new(isa, &heads.score, hand, hidden, last)?,
+            scores: Output::of(&heads.score.mlp2, primitives, hidden)?,
         })
     }
 
-    /// Logits of actionability of every row, `[n, features]` -> `[n, primitives]`.
-    pub(crate) fn actionability(&self, features: &[f32]) -> Result<Vec<f32>, Error> {
-        let mut logits = vec![0.0; features.len() / self.features * self.primitives];
-        run(&self.actionability, features, None, &mut logits)?;
+    /// Logits of actionability of some rows, `[n, features]` -> `[primitives, n]`. Those of other rows are zero.
+    pub(crate) fn actionability(&self, features: &[f32], wanted: &[Range<usize>]) -> Result<Vec<f32>, Error> {
+        let mut logits = vec![0.0; features.len() / self.features * self.logits.bias.len()];
+        let net = self.logits.after(&self.actionability.weights, &self.actionability.bias);
+        net.rows(self.isa, features, wanted, &mut logits).map_err(failed)?;
         Ok(logits)
     }
 
     /// `samples` codes drawn from the normal distribution the decoder was trained for. All candidates share them.
     pub(crate) fn codes(&self, samples: usize, seed: Seed) -> Codes {
-        let mut rng = seed.child("proposal codes", 0).rng();
-        let mut z: Vec<f32> = Vec::with_capacity(samples * self.latent + 1);
-        while z.len() < samples * self.latent {
-            // Box and Muller, 1958. `random` is below 1, so the logarithm is finite.
-            let (u, v) = (1.0 - rng.random::<f32>(), rng.random::<f32>());
-            let (radius, (sin, cos)) = ((-2.0 * u.ln()).sqrt(), (std::f32::consts::TAU * v).sin_cos());
-            z.extend([radius * cos, radius * sin]);
+        let n = samples.next_multiple_of(LANES);
+        let z = normal(samples * self.latent, seed);
+        // Number by number, so that the inner loop below runs over samples.
+        let z: Vec<f32> =
+            (0..self.latent).flat_map(|i| z.iter().skip(i).step_by(self.latent)).copied().collect();
+        let mut table = vec![0.0; self.hidden * n];
+        for (j, sums) in table.chunks_exact_mut(n).enumerate() {
+            let weights = self.code.iter().skip(j).step_by(self.hidden);
+            for (z, weight) in z.chunks_exact(samples).zip(weights) {
+                sums.iter_mut().zip(z).for_each(|(sum, z)| *sum += weight * z);
+            }
         }
-        z.truncate(samples * self.latent);
-        Codes(z)
+        Codes { samples, table }
     }
 
     /// For each candidate, given by its row of the feature matrix, as many orientations as there are codes and their
@@ -102,7 +138,7 @@ impl DecodingHeads {
         features: &[f32],
         candidates: &[u32],
         output: usize,
-        Codes(codes): &Codes,
+        codes: &Codes,
     ) -> Result<Vec<Vec<Tried>>, Error> {
         let (Some(proposal), Some(score)) = (self.proposals.get(output), self.scores.get(output)) else {
             return Ok(Vec::new());
@@ -110,199 +146,108 @@ impl DecodingHeads {
         let n = self.features;
         let at = |row: u32| features.get(row as usize * n..(row as usize + 1) * n);
         let own: Vec<f32> = candidates.iter().filter_map(|&row| at(row)).flatten().copied().collect();
-        let samples = codes.len() / self.latent;
-        let rows: Vec<i64> =
-            (0..candidates.len() as i64).flat_map(|c| std::iter::repeat_n(c, samples)).collect();
-        let mut half = vec![0.0; candidates.len() * self.hidden];
-
-        run(&self.proposal_feature, &own, None, &mut half)?;
-        let mut raw = vec![0.0; rows.len() * 6];
-        run(proposal, &codes.repeat(candidates.len()), Some((&half, &rows)), &mut raw)?;
-        let rotations: Vec<Rotation3<f32>> =
-            raw.as_chunks().0.iter().map(|six| Orientation6(*six).to_rotation()).collect();
-
-        let hands = self.hands(&own, &rotations, samples)?;
-        run(&self.score_feature, &own, None, &mut half)?;
-        let mut logits = vec![0.0; rows.len()];
-        run(score, &hands, Some((&half, &rows)), &mut logits)?;
-        let tried: Vec<Tried> = rotations.into_iter().zip(logits.into_iter().map(sigmoid)).collect();
-        Ok(tried.chunks(samples.max(1)).map(<[Tried]>::to_vec).collect())
-    }
-
-    /// What the score sees of hands, `each` of them at every feature: `[rotations, 6 + alignments]`.
-    fn hands(&self, features: &[f32], rotations: &[Rotation3<f32>], each: usize) -> Result<Vec<f32>, Error> {
-        let axes = rotations.iter().map(|r| Orientation6::from_rotation(r).0);
-        let Some(align) = &self.align else { return Ok(axes.flatten().collect()) };
-        let width = align.outputs();
-        let mut weights = vec![0.0; features.len() / self.features * width];
-        run(align, features, None, &mut weights)?;
-        let mut hands = Vec::with_capacity(rotations.len() * (6 + width / 9));
-        for (i, (rotation, axes)) in rotations.iter().zip(axes).enumerate() {
-            hands.extend(axes);
-            let left: [f32; 3] = rotation.matrix().column(1).into();
-            for weights in weights[i / each * width..][..width].as_chunks::<9>().0 {
-                let weighted = |axes: &[f32], weights: &[f32]| -> f32 {
-                    axes.iter().zip(weights).map(|(a, w)| a * w).sum()
-                };
-                hands.push(weighted(&axes, &weights[..6]) + weighted(&left, &weights[6..]));
-            }
-        }
-        Ok(hands)
+        let of_proposals = run(&self.proposal_feature, &own, None)?;
+        let of_scores = run(&self.score_feature, &own, None)?;
+        let hands = self.hand.at(&own, candidates.len())?;
+        let (one, columns) = (hands.len() / candidates.len().max(1), codes.table.len() / self.hidden);
+        of_proposals
+            .par_chunks_exact(self.hidden)
+            .zip(of_scores.par_chunks_exact(self.hidden))
+            .zip(hands.par_chunks_exact(one.max(1)))
+            .map(|((of_proposals, of_scores), hand)| {
+                let mut raw = vec![0.0; 6 * columns];
+                let net = proposal.after(&[], of_proposals);
+                net.columns(self.isa, &[], Some(&codes.table), &mut raw).map_err(failed)?;
+                let axes = frames::axes(&raw);
+                let seen = axes.get(..one / self.hidden * columns).unwrap_or_default();
+                let mut logits = vec![0.0; columns];
+                let net = score.after(hand, of_scores);
+                net.columns(self.isa, seen, None, &mut logits).map_err(failed)?;
+                let tried = logits.iter().map(|&logit| sigmoid(logit)).take(codes.samples).enumerate();
+                Ok(tried.map(|(sample, score)| (frames::rotation(&axes, sample), score)).collect())
+            })
+            .collect()
     }
 }
 
-/// Rows through an MLP; the hidden layer starts from the row of the table that belongs to each.
-fn run(mlp: &Mlp, rows: &[f32], from: Option<(&[f32], &[i64])>, out: &mut [f32]) -> Result<(), Error> {
+impl Hand {
+    /// `weights` are those of the score's hidden layer for a hand, `[SEEN + alignments, hidden]`.
+    fn new(
+        isa: Isa,
+        score: &ScoreHead,
+        mut weights: Vec<f32>,
+        hidden: usize,
+        last: Option<&LastLayer>,
+    ) -> Result<Self, Error> {
+        let Some(align) = &score.align else { return Ok(Self { axes: weights, align: None }) };
+        let align = Plain::of(align)?.after(last);
+        let alignments = align.outputs() / AXES;
+        // The model has the axes of each alignment together, the product below the alignments of each axis.
+        let align = align.ordered(|i| i % alignments * AXES + i / alignments);
+        let mix = Plain { weights: weights.split_off(SEEN * hidden), bias: vec![0.0; hidden] };
+        weights.resize(AXES * hidden, 0.0);
+        Ok(Self { axes: weights, align: Some((mlp(isa, &align)?, mlp(isa, &mix)?)) })
+    }
+
+    /// The matrices at `count` features, each as large as `axes`.
+    fn at(&self, features: &[f32], count: usize) -> Result<Vec<f32>, Error> {
+        let Some((align, mix)) = &self.align else { return Ok(self.axes.repeat(count)) };
+        let weights = run(align, features, None)?;
+        let axes: Vec<i64> =
+            (0..weights.len() / mix.inputs().max(1)).map(|row| (row % AXES) as i64).collect();
+        run(mix, &weights, Some((&self.axes, &axes)))
+    }
+}
+
+impl Output {
+    /// A linear layer after a hidden one, cut into `parts`.
+    fn of(linear: &Linear, parts: usize, hidden: usize) -> Result<Vec<Self>, Error> {
+        let all = Plain::of(linear)?;
+        let each = all.outputs() / parts.max(1);
+        let column = |output: usize| {
+            let weights = all.weights.iter().skip(output).step_by(all.outputs()).copied();
+            weights.chain(std::iter::repeat(0.0)).take(hidden)
+        };
+        let part = |part: usize| {
+            let outputs = part * each..(part + 1) * each;
+            let bias = all.bias.get(outputs.clone()).unwrap_or_default().to_vec();
+            Self { weights: outputs.flat_map(column).collect(), bias }
+        };
+        Ok((0..parts).map(part).collect())
+    }
+
+    /// With the hidden layer before it.
+    fn after<'a>(&'a self, first: &'a [f32], start: &'a [f32]) -> Perceptron<'a> {
+        Perceptron { first, start, slope: LEAK, second: &self.weights, bias: &self.bias }
+    }
+}
+
+fn mlp(isa: Isa, layer: &Plain) -> Result<Mlp, Error> {
+    Mlp::new(isa, layer.inputs(), &[layer.layer()]).map_err(failed)
+}
+
+/// Rows through an MLP; each result starts from the row of the table that belongs to it.
+fn run(mlp: &Mlp, rows: &[f32], from: Option<(&[f32], &[i64])>) -> Result<Vec<f32>, Error> {
+    let mut out = vec![0.0; rows.len() / mlp.inputs().max(1) * mlp.outputs()];
     let lookup = from.map(|(table, rows)| Lookup { table, rows, weights: None, each: 1 });
-    mlp.run(MlpInput { rows, lookup, pool: 1 }, out).map_err(|e| Error::Network(e.to_string()))
+    mlp.run(MlpInput { rows, lookup, pool: 1 }, &mut out).map_err(failed)?;
+    Ok(out)
 }
 
-/// What all heads have in common.
-struct Head {
-    isa: Isa,
-    features: usize,
-    hidden: usize,
-    primitives: usize,
+fn failed(error: ShapeError) -> Error {
+    Error::Network(error.to_string())
 }
 
-impl Head {
-    fn mlp(&self, inputs: usize, layers: &[MlpLayer<'_>]) -> Result<Mlp, Error> {
-        Mlp::new(self.isa, inputs, layers).map_err(|e: ShapeError| Error::Network(e.to_string()))
+/// `count` numbers of the standard normal distribution.
+pub(super) fn normal(count: usize, seed: Seed) -> Vec<f32> {
+    let mut rng = seed.child("proposal codes", 0).rng();
+    let mut z: Vec<f32> = Vec::with_capacity(count + 1);
+    while z.len() < count {
+        // Box and Muller, 1958. `random` is below 1, so the logarithm is finite.
+        let (u, v) = (1.0 - rng.random::<f32>(), rng.random::<f32>());
+        let (radius, (sin, cos)) = ((-2.0 * u.ln()).sqrt(), (std::f32::consts::TAU * v).sin_cos());
+        z.extend([radius * cos, radius * sin]);
     }
-
-    /// A head on a feature and something else: the feature's share of the hidden layer, and for each primitive what
-    /// becomes of the something else.
-    fn split(&self, first: &SplitLinear, second: &Linear) -> Result<(Mlp, Vec<Mlp>), Error> {
-        let first = Plain::of(&first.linear)?.widened(self.hidden);
-        let other = first.inputs - self.features;
-        let (of_feature, of_other) = first.weights.split_at(self.features * self.hidden);
-        let zero = vec![0.0; self.hidden];
-        // The bias counts once, in the feature's share.
-        let feature = MlpLayer { weights: of_feature, bias: &first.bias, activation: Activation::Identity };
-        let last = Plain::of(second)?.deepened(self.hidden);
-        let per_primitive = (0..self.primitives).map(|p| {
-            let own =
-                last.columns(p * last.outputs / self.primitives..(p + 1) * last.outputs / self.primitives);
-            let hidden = MlpLayer { weights: of_other, bias: &zero, activation: LEAK };
-            self.mlp(other, &[hidden, own.layer(Activation::Identity)])
-        });
-        Ok((self.mlp(self.features, &[feature])?, per_primitive.collect::<Result<_, _>>()?))
-    }
-}
-
-/// A linear layer as numbers: weights `[inputs, outputs]`.
-struct Plain {
-    inputs: usize,
-    outputs: usize,
-    weights: Vec<f32>,
-    bias: Vec<f32>,
-}
-
-impl Plain {
-    fn of(linear: &Linear) -> Result<Self, Error> {
-        let weight = linear.weight.val();
-        let [inputs, outputs] = weight.dims();
-        let bias = match &linear.bias {
-            Some(bias) => numbers(bias.val())?,
-            None => vec![0.0; outputs],
-        };
-        Ok(Self { inputs, outputs, weights: numbers(weight)?, bias })
-    }
-
-    /// More outputs, all zero.
-    fn widened(mut self, outputs: usize) -> Self {
-        let padding = vec![0.0; outputs - self.outputs];
-        let rows = self.weights.chunks_exact(self.outputs);
-        self.weights = rows.flat_map(|row| row.iter().chain(&padding)).copied().collect();
-        self.bias.resize(outputs, 0.0);
-        self.outputs = outputs;
-        self
-    }
-
-    /// More inputs that count nothing.
-    fn deepened(mut self, inputs: usize) -> Self {
-        self.weights.resize(inputs * self.outputs, 0.0);
-        self.inputs = inputs;
-        self
-    }
-
-    /// Some of the outputs.
-    fn columns(&self, range: std::ops::Range<usize>) -> Self {
-        let rows = self.weights.chunks_exact(self.outputs);
-        let weights = rows.flat_map(|row| row.get(range.clone()).unwrap_or_default()).copied().collect();
-        let bias = self.bias.get(range.clone()).unwrap_or_default().to_vec();
-        Self { inputs: self.inputs, outputs: range.len(), weights, bias }
-    }
-
-    fn layer(&self, activation: Activation) -> MlpLayer<'_> {
-        MlpLayer { weights: &self.weights, bias: &self.bias, activation }
-    }
-}
-
-fn numbers<const D: usize>(tensor: Tensor<D>) -> Result<Vec<f32>, Error> {
-    tensor.into_data().convert::<f32>().try_into_vec().map_err(|e| Error::Network(format!("{e:?}")))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use burn::tensor::{Device, TensorData};
-    use where2act_core::Primitive;
-    use where2act_model::{Modality, Network, to_axes};
-
-    /// The heads of the model crate, one row at a time, for every output: what decoding must equal.
-    #[test]
-    fn decoding_equals_the_heads_of_the_model() {
-        let device = Device::flex();
-        let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL[1..4]);
-        (config.hidden, config.latent, config.alignments) = (40, 7, 5);
-        let network = Network::new(&config, Seed(3), &device);
-        let heads = DecodingHeads::new(&network.heads, &config).unwrap();
-        let rows = 50;
-        let features: Vec<f32> =
-            (0..rows * 128).map(|i| ((i * 37 % 101) as f32 / 50.0 - 1.0).powi(3)).collect();
-        let tensor = |v: &[f32], width: usize| {
-            Tensor::<2>::from_data(TensorData::new(v.to_vec(), [v.len() / width, width]), &device)
-        };
-        let plain = |t: Tensor<2>| numbers(t).unwrap();
-        let close = |a: &[f32], b: &[f32]| {
-            assert_eq!(a.len(), b.len());
-            // Sums of 128 products in another order.
-            a.iter().zip(b).for_each(|(a, b)| assert!((a - b).abs() < 2e-5, "{a} {b}"));
-        };
-        let all = plain(network.heads.actionability.forward(tensor(&features, 128)));
-        close(&heads.actionability(&features).unwrap(), &all);
-
-        let codes = heads.codes(11, Seed(5));
-        for output in 0..3 {
-            let found = heads.propose(&features, &[49, 3], output, &codes).unwrap();
-            for (row, found) in [49usize, 3].into_iter().zip(found) {
-                let feature = tensor(&features[row * 128..(row + 1) * 128].repeat(11), 128);
-                let raw = network.heads.proposal.decode(feature.clone(), tensor(&codes.0, 7));
-                let axes = to_axes(raw.slice([0..11, output..output + 1, 0..6]).reshape([11, 6]));
-                let logits =
-                    network.heads.score.forward(feature, axes.clone()).slice([0..11, output..output + 1]);
-                let found_axes: Vec<f32> =
-                    found.iter().flat_map(|(r, _)| Orientation6::from_rotation(r).0).collect();
-                close(&found_axes, &plain(axes));
-                let scores: Vec<f32> = found.iter().map(|(_, s)| *s).collect();
-                close(&scores, &plain(logits).into_iter().map(sigmoid).collect::<Vec<_>>());
-            }
-        }
-    }
-
-    #[test]
-    fn codes_are_normal_and_depend_on_the_seed() {
-        let config = ModelConfig::new(Modality::Cloud, &Primitive::ALL);
-        let network = Network::new(&config, Seed(3), &Device::flex());
-        let heads = DecodingHeads::new(&network.heads, &config).unwrap();
-        let Codes(z) = heads.codes(10_000, Seed(1));
-        let n = z.len() as f32;
-        let mean = z.iter().sum::<f32>() / n;
-        let variance = z.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>() / n;
-        // Standard errors at 100,000 numbers: 0.003 and 0.0045.
-        assert!(mean.abs() < 0.015 && (variance - 1.0).abs() < 0.02, "{mean} {variance}");
-        assert_ne!(z, heads.codes(10_000, Seed(2)).0);
-        assert_eq!(z[..50], heads.codes(5, Seed(1)).0);
-    }
+    z.truncate(count);
+    z
 }

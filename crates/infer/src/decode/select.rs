@@ -1,5 +1,8 @@
 //! From all scored orientations to the few a caller sees.
 
+use std::cmp::{Ordering, Reverse};
+use std::collections::BinaryHeap;
+
 use nalgebra::Rotation3;
 use where2act_core::Pixel;
 
@@ -20,16 +23,15 @@ pub(crate) struct Scored {
 
 /// The best by score, at most so many per pixel, those of one pixel some angle apart. Ties go to the more
 /// actionable candidate, which comes first.
-pub(crate) fn select(mut all: Vec<Scored>, options: &Options) -> Vec<Scored> {
+pub(crate) fn select(all: &[Scored], options: &Options) -> Vec<Scored> {
     let per_pixel = options.per_pixel.unwrap_or(if options.pixel.is_some() { options.top_k } else { 1 });
-    all.retain(|s| s.score >= options.min_score);
-    // Stable, so that equal scores stay in the order of their candidates and samples.
-    all.sort_by(|a, b| b.score.total_cmp(&a.score));
+    // A heap, because few of the best are looked at. Equal scores stay in the order of their candidates and samples.
+    let good = all.iter().enumerate().filter(|(_, scored)| scored.score >= options.min_score);
+    let mut best: BinaryHeap<Ranked<'_>> = good.map(|(i, scored)| Ranked(scored, Reverse(i))).collect();
     let mut chosen: Vec<Scored> = Vec::new();
-    for scored in all {
-        if chosen.len() == options.top_k {
-            break;
-        }
+    while chosen.len() < options.top_k
+        && let Some(Ranked(&scored, _)) = best.pop()
+    {
         let mut here = chosen.iter().filter(|c| c.pixel == scored.pixel);
         let full = here.clone().count() >= per_pixel;
         if !full && here.all(|c| c.rotation.angle_to(&scored.rotation) >= Options::MIN_ANGLE) {
@@ -38,6 +40,29 @@ pub(crate) fn select(mut all: Vec<Scored>, options: &Options) -> Vec<Scored> {
     }
     chosen
 }
+
+/// Greater: to be looked at first.
+struct Ranked<'a>(&'a Scored, Reverse<usize>);
+
+impl Ord for Ranked<'_> {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.0.score.total_cmp(&other.0.score).then(self.1.cmp(&other.1))
+    }
+}
+
+impl PartialOrd for Ranked<'_> {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Ranked<'_> {
+    fn eq(&self, other: &Self) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Ranked<'_> {}
 
 #[cfg(test)]
 mod tests {
@@ -53,10 +78,13 @@ mod tests {
             score,
         };
         let all = vec![scored(0, 0.0, 0.5), scored(0, 0.1, 0.9), scored(0, 1.0, 0.8), scored(1, 0.0, 0.85)];
-        let scores = |o: &Options| select(all.clone(), o).iter().map(|s| s.score).collect::<Vec<_>>();
+        let scores = |o: &Options| select(&all, o).iter().map(|s| s.score).collect::<Vec<_>>();
         assert_eq!(scores(&Options::default()), [0.9, 0.85]);
         assert_eq!(scores(&Options { per_pixel: Some(5), ..Options::default() }), [0.9, 0.85, 0.8]);
         assert_eq!(scores(&Options { min_score: 0.86, ..Options::default() }), [0.9]);
         assert_eq!(scores(&Options { top_k: 1, ..Options::default() }), [0.9]);
+        let equal: Vec<Scored> = (0..50).map(|u| scored(u, 0.0, 0.5)).collect();
+        let first: Vec<usize> = select(&equal, &Options::default()).iter().map(|s| s.candidate).collect();
+        assert_eq!(first, (0..10).collect::<Vec<_>>(), "ties");
     }
 }

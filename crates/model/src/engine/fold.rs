@@ -6,6 +6,7 @@ use burn::tensor::Tensor;
 use where2act_kernels::unet::{BlockLayers, Folded, UNetLayers};
 use where2act_kernels::{Activation, Isa, Mlp, MlpLayer, ShapeError};
 
+use super::LastLayer;
 use crate::layers::folded;
 use crate::unet::{BasicBlock, UNet};
 
@@ -53,6 +54,25 @@ pub(super) fn unet(unet: &UNet) -> Option<UNetLayers> {
         ups: ups.try_into().ok()?,
         head: Folded { kernel: values(unet.head.weight.val()), bias },
     })
+}
+
+/// Takes the linear layer off the end of a U-Net, if it makes more numbers of fewer; in its place is one that passes
+/// them on, with zeros up to a multiple of 16.
+pub(super) fn take_head(layers: &mut UNetLayers) -> Option<LastLayer> {
+    let features = layers.head.bias.len();
+    let channels = layers.head.kernel.len() / features.max(1);
+    let inputs = channels.next_multiple_of(16);
+    if inputs >= features {
+        return None;
+    }
+    let mut same = Folded { kernel: vec![0.0; inputs * channels], bias: vec![0.0; inputs] };
+    same.kernel.iter_mut().step_by(channels + 1).take(channels).for_each(|one| *one = 1.0);
+    let head = std::mem::replace(&mut layers.head, same);
+    let mut weights = vec![0.0; inputs * features];
+    for (feature, row) in head.kernel.chunks_exact(channels).enumerate() {
+        weights.iter_mut().skip(feature).step_by(features).zip(row).for_each(|(to, w)| *to = *w);
+    }
+    Some(LastLayer { weights, bias: head.bias })
 }
 
 /// A linear layer as numbers: weights `[inputs, outputs]`.

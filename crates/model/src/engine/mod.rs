@@ -49,6 +49,15 @@ pub struct Engine {
     outputs: Mutex<Vec<AlignedBuf>>,
 }
 
+/// The linear layer at the end of a backbone, left to whoever continues it: see [`Engine::open`].
+#[derive(Clone, Debug)]
+pub struct LastLayer {
+    /// `[inputs, features]`.
+    pub weights: Vec<f32>,
+    /// `[features]`.
+    pub bias: Vec<f32>,
+}
+
 enum Compiled {
     Rgb(Box<UNet>),
     Cloud(CloudEngine),
@@ -96,6 +105,24 @@ impl Engine {
     /// # Errors
     /// As [`Self::compile`].
     pub fn compile_for(isa: Isa, network: &Network) -> Result<Self, EngineError> {
+        Self::compile_layers(isa, network, false).map(|(engine, _)| engine)
+    }
+
+    /// [`Self::compile`], but without the linear layer at the end if there are fewer numbers before it than after it: for
+    /// a caller that goes on with linear layers. Two of them in a row are one, here on the fewer numbers.
+    ///
+    /// # Errors
+    /// As [`Self::compile`].
+    pub fn open(network: &Network) -> Result<(Self, Option<LastLayer>), EngineError> {
+        Self::compile_layers(Isa::best(), network, true)
+    }
+
+    fn compile_layers(
+        isa: Isa,
+        network: &Network,
+        open: bool,
+    ) -> Result<(Self, Option<LastLayer>), EngineError> {
+        let mut last = None;
         let side = network.config().preprocessing.image_side;
         let backbone = match &network.backbone {
             Backbone::UNet(unet) => {
@@ -106,7 +133,10 @@ impl Engine {
                     usize::from(layers.is_none()),
                 )?;
                 match layers {
-                    Some(layers) => Compiled::Rgb(Box::new(UNet::new(isa, &layers, side)?)),
+                    Some(mut layers) => {
+                        last = if open { fold::take_head(&mut layers) } else { None };
+                        Compiled::Rgb(Box::new(UNet::new(isa, &layers, side)?))
+                    }
                     None => {
                         return Err(EngineError::Modality { expected: "a U-Net", found: "another network" });
                     }
@@ -114,7 +144,7 @@ impl Engine {
             }
             Backbone::PointNet2(net) => Compiled::Cloud(CloudEngine::new(isa, net)?),
         };
-        Ok(Self { backbone, isa, memory: Mutex::default(), outputs: Mutex::default() })
+        Ok((Self { backbone, isa, memory: Mutex::default(), outputs: Mutex::default() }, last))
     }
 
     /// Checks a precision by name: `f32` is what this engine computes in.

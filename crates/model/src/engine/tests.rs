@@ -6,7 +6,6 @@ use burn::tensor::{Device, Tensor, TensorData};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use where2act_core::{Primitive, Seed};
-use where2act_kernels::{Lookup, MlpInput};
 
 use crate::config::{Modality, ModelConfig};
 
@@ -69,6 +68,36 @@ fn pictures_give_what_burn_gives() {
             assert!(error < 1e-4, "{} width {width}: {error:e}", isa.name());
         }
     }
+}
+
+#[test]
+fn an_open_engine_and_its_last_layer_give_the_features() {
+    for (width, expected_inputs) in [(0.3, 32), (0.5, 32)] {
+        let network = network(Modality::Rgb, |config| config.with_width(width));
+        let images = noise(3 * 64 * 64);
+        let expected =
+            Engine::compile(&network).unwrap().features_rgb(&images, [1, 64, 64]).unwrap().to_vec();
+        let (engine, last) = Engine::open(&network).unwrap();
+        let LastLayer { weights, bias } = last.unwrap();
+        assert_eq!((engine.features(), weights.len()), (expected_inputs, expected_inputs * bias.len()));
+        let rows = engine.features_rgb(&images, [1, 64, 64]).unwrap();
+        let found: Vec<f32> = rows
+            .chunks_exact(expected_inputs)
+            .flat_map(|row| {
+                let mut features = bias.clone();
+                for (x, weights) in row.iter().zip(weights.chunks_exact(bias.len())) {
+                    features.iter_mut().zip(weights).for_each(|(f, w)| *f += x * w);
+                }
+                features
+            })
+            .collect();
+        let error = error(&expected, &found);
+        assert!(error < 1e-5, "width {width}: {error:e}");
+    }
+    let wide = network(Modality::Rgb, |config| ModelConfig { features: 16, ..config.with_width(0.25) });
+    assert!(Engine::open(&wide).unwrap().1.is_none(), "no fewer numbers before the layer");
+    let cloud = network(Modality::Cloud, |config| config);
+    assert!(Engine::open(&cloud).unwrap().1.is_none(), "an activation after the layer");
 }
 
 #[test]

@@ -1,0 +1,149 @@
+use std::path::Path;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use where2act_core::{Observation, Orientation6, Primitive, Seed};
+use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
+use where2act_model::{Engine, LastLayer, Modality, ModelConfig, Network, Weights, to_axes};
+
+use super::heads::normal;
+use super::plain::numbers;
+use super::{DecodingHeads, sigmoid};
+use crate::read::{read_picture, read_scan};
+
+fn tensor(values: &[f32], width: usize) -> Tensor<2> {
+    Tensor::from_data(TensorData::new(values.to_vec(), [values.len() / width, width]), &Device::flex())
+}
+
+/// Relative to the largest value: sums of some hundred products in another order.
+const TOLERANCE: f32 = 2e-5;
+
+#[track_caller]
+fn close(what: &str, found: &[f32], expected: &[f32], tolerance: f32) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    let largest = expected.iter().fold(1.0f32, |m, x| m.max(x.abs()));
+    for (a, b) in found.iter().zip(expected) {
+        assert!((a - b).abs() < tolerance * largest, "{what}: {a}, expected {b}");
+    }
+}
+
+/// How short the directions that become axes are beside the raw numbers, at most 1: rounding turns short ones further.
+fn shortness(raw: &Orientation6) -> f32 {
+    let (approach, forward) = (raw.approach(), raw.forward());
+    let z = approach.normalize();
+    let across = forward - z * z.dot(&forward);
+    approach.norm().min(across.norm()).min(1.0)
+}
+
+/// Decoding of `rows`, which `last` makes features of, against the model's heads, for every output.
+fn check(network: &Network, last: Option<&LastLayer>, rows: &[f32], candidates: &[u32]) {
+    let (config, model) = (network.config(), &network.heads);
+    let outputs = config.primitives.len();
+    let heads = DecodingHeads::new(model, config, last).unwrap();
+    let features = match last {
+        Some(last) => {
+            let bias = tensor(&last.bias, last.bias.len());
+            let inputs = last.weights.len() / last.bias.len();
+            numbers(tensor(rows, inputs).matmul(tensor(&last.weights, last.bias.len())) + bias).unwrap()
+        }
+        None => rows.to_vec(),
+    };
+    let count = features.len() / config.features;
+    let all = numbers(model.actionability.forward(tensor(&features, config.features)).transpose()).unwrap();
+    close("actionability", &heads.actionability(rows, &[0..1, 1..count]).unwrap(), &all, TOLERANCE);
+
+    let samples = 11;
+    let codes = heads.codes(samples, Seed(5));
+    let z = tensor(&normal(samples * config.latent, Seed(5)), config.latent);
+    for output in 0..outputs {
+        let found = heads.propose(rows, candidates, output, &codes).unwrap();
+        assert_eq!(found.len(), candidates.len());
+        for (row, found) in candidates.iter().zip(found) {
+            let own = &features[*row as usize * config.features..][..config.features];
+            let feature = tensor(&own.repeat(samples), config.features);
+            let of_output = output..output + 1;
+            let raw = model.proposal.decode(feature.clone(), z.clone());
+            let raw = raw.slice([0..samples, of_output.clone(), 0..6]).reshape([samples, 6]);
+            let axes = to_axes(raw.clone());
+            let logits = model.score.forward(feature, axes.clone()).slice([0..samples, of_output]);
+            let (axes, logits) = (numbers(axes).unwrap(), numbers(logits).unwrap());
+            for (sample, (rotation, score)) in found.into_iter().enumerate() {
+                let raw = Orientation6(numbers(raw.clone()).unwrap().as_chunks().0[sample]);
+                let what = format!("output {output}, row {row}, sample {sample}");
+                let within = TOLERANCE / shortness(&raw);
+                close(&what, &Orientation6::from_rotation(&rotation).0, &axes[6 * sample..][..6], within);
+                close(&what, &[score], &[sigmoid(logits[sample])], within);
+            }
+        }
+    }
+}
+
+/// The heads of the model crate, one row at a time, for every output: what decoding must equal.
+#[test]
+fn decoding_equals_the_heads_of_the_model() {
+    let noise = |n: usize| (0..n).map(|i| ((i * 37 % 101) as f32 / 50.0 - 1.0).powi(3)).collect::<Vec<_>>();
+    for (hidden, alignments) in [(40, 5), (40, 0), (256, 16)] {
+        let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL[1..4]);
+        (config.hidden, config.latent, config.alignments) = (hidden, 7, alignments);
+        let network = Network::new(&config, Seed(3), &Device::flex());
+        check(&network, None, &noise(50 * 128), &[49, 3]);
+        let last = LastLayer { weights: noise(32 * 128), bias: noise(128) };
+        check(&network, Some(&last), &noise(50 * 32), &[17, 0]);
+    }
+}
+
+fn repository(path: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
+}
+
+fn trained(name: &str) -> Network {
+    Weights::load(&repository("weights").join(name), &Device::flex()).unwrap().network
+}
+
+#[test]
+fn trained_weights_decode_a_picture_as_the_heads_of_the_model() {
+    let network = trained("rgb");
+    let picture = read_picture(&repository("examples/cabinet.png")).unwrap();
+    let with = &network.config().preprocessing;
+    let side = with.image_side;
+    let input = ImageInput::new(picture.size, &picture.rgb, None, with).unwrap();
+    let (engine, last) = Engine::open(&network).unwrap();
+    let rows = engine.features_rgb(&input.values, [1, side, side]).unwrap();
+    assert!(last.is_some(), "the shipped U-Net has fewer channels than features");
+    check(&network, last.as_ref(), &rows, &[0, 20_000, 25_112, 30_000, 50_175]);
+}
+
+#[test]
+fn trained_weights_decode_a_scan_as_the_heads_of_the_model() {
+    let network = trained("cloud");
+    let scan = Observation::Cloud { points: read_scan(&repository("examples/cabinet.ply")).unwrap() };
+    let config = network.config();
+    let mut rng = Seed(1).rng();
+    let (input, _) = CloudInput::from_observation(&scan, CloudScale::Trained, config, &mut rng).unwrap();
+    let (engine, last) = Engine::open(&network).unwrap();
+    let rows = engine.features_cloud(&input.whole_hierarchy(config)).unwrap();
+    check(&network, last.as_ref(), &rows, &[0, 1000, 2000, 3000, 4095]);
+}
+
+#[test]
+fn codes_are_normal_and_depend_on_the_seed() {
+    let z = normal(100_000, Seed(1));
+    let n = z.len() as f32;
+    let mean = z.iter().sum::<f32>() / n;
+    let variance = z.iter().map(|x| (x - mean) * (x - mean)).sum::<f32>() / n;
+    // Standard errors at 100,000 numbers: 0.003 and 0.0045.
+    assert!(mean.abs() < 0.015 && (variance - 1.0).abs() < 0.02, "{mean} {variance}");
+    assert_ne!(z, normal(100_000, Seed(2)));
+    assert_eq!(z[..50], normal(50, Seed(1)));
+}
+
+#[test]
+fn the_sigmoid_is_one() {
+    for i in -200_000..=200_000 {
+        let x = i as f32 * 6e-4;
+        let expected = 1.0 / (1.0 + (-f64::from(x)).exp());
+        let found = f64::from(sigmoid(x));
+        assert!((found - expected).abs() <= 3e-7 * expected + 1e-37, "{x}: {found}, expected {expected}");
+    }
+    assert!(sigmoid(f32::NAN).is_nan());
+    assert_eq!((sigmoid(f32::INFINITY), sigmoid(0.0)), (1.0, 0.5));
+}
