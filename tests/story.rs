@@ -79,6 +79,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             points: 1024,
             candidates: 1024,
             surroundings: true,
+            alignments: 0,
         },
         batch: BatchConfig { views: 2, trials_per_view: 16, ..BatchConfig::default() },
         schedule: ScheduleConfig {
