@@ -17,15 +17,17 @@ pub enum Backend {
     /// burn on its flex backend.
     Flex,
     /// burn on its ndarray backend: slower, for comparison.
+    #[cfg(feature = "ndarray")]
     Ndarray,
 }
 
 impl Backend {
     /// burn's device for it.
-    #[allow(deprecated, reason = "ndarray is offered for comparison as long as burn has it")]
+    #[cfg_attr(feature = "ndarray", expect(deprecated, reason = "for comparison as long as burn has it"))]
     pub(crate) fn device(self) -> Device {
         match self {
             Self::Fast | Self::Flex => Device::flex(),
+            #[cfg(feature = "ndarray")]
             Self::Ndarray => Device::ndarray(),
         }
     }

@@ -8,8 +8,8 @@
 //! | what it is fed | [`preprocess`], the same in training and prediction |
 //! | what it learns from | [`losses`] |
 //!
-//! The backend is chosen at run time: `burn::tensor::Device::flex()` (fast) or `Device::ndarray()`, with `.autodiff()` for
-//! training.
+//! The backend is chosen at run time: `burn::tensor::Device::flex()` (fast), with the feature
+//! `ndarray` also `Device::ndarray()`; with `.autodiff()` for training.
 
 mod config;
 mod engine;

@@ -62,8 +62,12 @@ pub(crate) fn named_gradients(
     visitor.found
 }
 
-/// Both backends.
-#[expect(deprecated, reason = "ndarray stays selectable until burn drops it")]
-pub(crate) fn devices() -> [Device; 2] {
-    [Device::flex(), Device::ndarray()]
+/// The backends this build has.
+#[cfg_attr(feature = "ndarray", expect(deprecated, reason = "selectable until burn drops it"))]
+pub(crate) fn devices() -> Vec<Device> {
+    vec![
+        Device::flex(),
+        #[cfg(feature = "ndarray")]
+        Device::ndarray(),
+    ]
 }

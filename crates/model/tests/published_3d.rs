@@ -1,4 +1,4 @@
-//! The network for scans against the published one in PyTorch, on both backends.
+//! The network for scans against the published one in PyTorch, on every backend of this build.
 //!
 //! Source: `tests/fixtures/where2act_3d`, its README has the semantics. Tolerance 1e-4 absolute: the largest
 //! activations are of the order of 10, and sums of up to 768 products are ordered differently here.
@@ -57,6 +57,7 @@ fn flex_agrees_with_pytorch() {
 }
 
 #[test]
+#[cfg(feature = "ndarray")]
 #[expect(deprecated, reason = "selectable until burn drops it")]
 fn ndarray_agrees_with_pytorch() {
     agrees_on(&Device::ndarray());

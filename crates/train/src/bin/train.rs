@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use anyhow::{Context, bail};
 use burn::tensor::Device;
 use clap::Parser;
+use clap::builder::PossibleValuesParser;
 use indicatif::ProgressBar;
 use where2act_core::shard::Manifest;
 use where2act_core::{Policy, Seed, program};
@@ -70,11 +71,24 @@ struct Args {
     /// Scenes of the evaluation at the end; 0 = none.
     #[arg(long, default_value_t = 40)]
     episodes: u64,
-    /// Backend.
-    #[arg(long, default_value = "flex", value_parser = ["flex", "ndarray"])]
+    /// Backend of burn. ndarray needs a build with `--features ndarray`.
+    #[arg(long, default_value = "flex", value_parser = PossibleValuesParser::new(DEVICES))]
     device: String,
     #[command(flatten)]
     work: Work,
+}
+
+/// burn's backends that this build has.
+const DEVICES: &[&str] = if cfg!(feature = "ndarray") { &["flex", "ndarray"] } else { &["flex"] };
+
+/// The device of one of [`DEVICES`].
+#[cfg_attr(feature = "ndarray", expect(deprecated, reason = "asked for by name; burn 0.23 drops it"))]
+fn device(name: &str) -> Device {
+    match name {
+        #[cfg(feature = "ndarray")]
+        "ndarray" => Device::ndarray(),
+        _ => Device::flex(),
+    }
 }
 
 fn main() -> ExitCode {
@@ -98,8 +112,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     for damage in &dataset.skipped {
         eprintln!("skipped: {damage}");
     }
-    #[allow(deprecated, reason = "asked for by name; burn 0.23 drops it")]
-    let device = if args.device == "ndarray" { Device::ndarray() } else { Device::flex() };
+    let device = device(&args.device);
     let bar = args.work.bar(config.steps() as u64, "training");
     let recipe = Manifest::load(dataset.folder())?.recipe;
     let preparer = serde_json::from_value::<Recipe>(recipe).ok().map(Preparer::new);

@@ -94,7 +94,7 @@ pub(crate) struct Args {
     /// What computes the network: kernels of this project, or burn.
     #[arg(long, value_enum, default_value_t = EngineArg::Fast)]
     engine: EngineArg,
-    /// Backend of burn; implies --engine burn.
+    /// Backend of burn; implies --engine burn. ndarray needs a build with `--features ndarray`.
     #[arg(long, value_enum)]
     device: Option<DeviceArg>,
     /// Root of all randomness.
@@ -123,6 +123,7 @@ enum DeviceArg {
     /// the faster one
     Flex,
     /// the slower one, for comparison
+    #[cfg(feature = "ndarray")]
     Ndarray,
 }
 
@@ -152,6 +153,7 @@ impl Args {
     pub(crate) fn backend(&self) -> Backend {
         match (self.engine, self.device) {
             (EngineArg::Fast, None) => Backend::Fast,
+            #[cfg(feature = "ndarray")]
             (_, Some(DeviceArg::Ndarray)) => Backend::Ndarray,
             (EngineArg::Burn, None) | (_, Some(DeviceArg::Flex)) => Backend::Flex,
         }
