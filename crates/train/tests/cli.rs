@@ -279,10 +279,10 @@ fn a_run_is_only_resumed_as_what_it_was() {
 
     // A damaged checkpoint is named, not trained over.
     let newest = bench.path("run/checkpoints/step-00000006");
-    let network = fs::read(newest.join("network.bpk")).unwrap();
-    fs::write(newest.join("network.bpk"), &network[..network.len() / 2]).unwrap();
-    other("--config boards.toml --data data", &["step-00000006", "network.bpk"]);
-    fs::write(newest.join("network.bpk"), &network).unwrap();
+    let learner = fs::read(newest.join("learner.bpk")).unwrap();
+    fs::write(newest.join("learner.bpk"), &learner[..learner.len() / 2]).unwrap();
+    other("--config boards.toml --data data", &["step-00000006", "learner.bpk"]);
+    fs::write(newest.join("learner.bpk"), &learner).unwrap();
     assert!(contents(&bench.path("run")) == before);
     worked(&train("--config boards.toml --data data --resume"));
 }
