@@ -79,10 +79,12 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             points: 1024,
             candidates: 1024,
             surroundings: true,
+            second_look: true,
             alignments: 0,
         },
         batch: BatchConfig { views: 2, trials_per_view: 16, ..BatchConfig::default() },
         schedule: ScheduleConfig {
+            look_steps: 0,
             score_steps: 2,
             joint_steps: 4,
             epoch_steps: 3,

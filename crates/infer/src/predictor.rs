@@ -10,8 +10,8 @@ use where2act_core::{
 };
 use where2act_model::{Modality, ModelConfig};
 
-use crate::backbone::{Backbone, Backend};
-use crate::decode::{Codes, DecodingHeads, Scored, select, sigmoid};
+use crate::backbone::{Backbone, Backend, NetworkInput};
+use crate::decode::{Codes, DecodingHeads, LOOKS, Scored, select, sigmoid};
 use crate::dense::DenseMaps;
 use crate::pose::proposal;
 use crate::prepare::Prepared;
@@ -224,6 +224,17 @@ impl Predictor {
                     scored.push(Scored { candidate, pixel: place.pixel, rotation, score });
                 }
             }
+        }
+        if let (Some(look), NetworkInput::Cloud(cloud)) = (&self.heads.second_look, &prepared.input) {
+            let each =
+                options.per_pixel.unwrap_or(if options.pixel.is_some() { options.samples } else { LOOKS });
+            let promising = Options {
+                top_k: each.max(LOOKS) * candidates.len(),
+                per_pixel: Some(each.max(LOOKS)),
+                min_score: f32::NEG_INFINITY,
+                ..options.clone()
+            };
+            scored = look.score(features, cloud, &candidates, select(&scored, &promising), output)?;
         }
         let chosen = select(&scored, options);
         let proposals: Vec<Proposal> = chosen

@@ -3,8 +3,8 @@
 use proptest::prelude::*;
 use where2act_kernels::Isa;
 use where2act_kernels::points::{
-    Selection, ball_query_with, furthest_point_sampling_with, gather_around, offset_gradient,
-    three_nearest_with,
+    Bounds, Frame, Selection, ball_query_with, furthest_point_sampling_with, gather_around, in_boxes_with,
+    offset_gradient, three_nearest_with,
 };
 
 fn squared_distance(a: &[f32], b: &[f32]) -> f32 {
@@ -74,6 +74,28 @@ fn naive_three(unknown: &[f32], known: &[f32]) -> (Vec<[u32; 3]>, Vec<[f32; 3]>)
             ([near[0].1, near[1].1, near[2].1], [near[0].0.sqrt(), near[1].0.sqrt(), near[2].0.sqrt()])
         })
         .unzip()
+}
+
+fn naive_boxes(xyz: &[f32], frames: &[Frame], bounds: &Bounds, count: usize) -> Vec<f32> {
+    let seen_from = |frame: &Frame| {
+        let seen = xyz.chunks_exact(3).map(|p| {
+            let [dx, dy, dz] = [0, 1, 2].map(|i| p[i] - frame.origin[i]);
+            frame.axes.map(|axis| dx * axis[0] + dy * axis[1] + dz * axis[2])
+        });
+        let is_inside = |p: &[f32; 3]| (0..3).all(|i| p[i] > bounds.min[i] && p[i] < bounds.max[i]);
+        let mut inside: Vec<[f32; 3]> = seen.filter(is_inside).take(count).collect();
+        let first = inside.first().copied().unwrap_or_default();
+        inside.resize(count, first);
+        inside.concat()
+    };
+    frames.iter().flat_map(seen_from).collect()
+}
+
+fn frame() -> impl Strategy<Value = Frame> {
+    (prop::array::uniform3(-1.0f32..1.0), 0.0f32..7.0, 0.0f32..7.0).prop_map(|(origin, a, b)| {
+        let ((s, c), (t, d)) = (a.sin_cos(), b.sin_cos());
+        Frame { origin, axes: [[c, s, 0.0], [-s * d, c * d, t], [s * t, -c * t, d]] }
+    })
 }
 
 /// Coordinates on a coarse grid (many exact ties and duplicates), anywhere, or not a number.
@@ -163,6 +185,18 @@ proptest! {
         let expected = if nsample == 0 { Vec::new() } else { expected };
         for isa in Isa::available() {
             prop_assert_eq!(&ball_query_with(isa, &xyz, &centres, radius, nsample), &expected, "{}", isa.name());
+        }
+    }
+
+    #[test]
+    fn what_is_in_boxes_equals_the_plain_loop(
+        xyz in cloud(300), frames in prop::collection::vec(frame(), 0..40),
+        min in prop::array::uniform3(-0.6f32..0.1), size in prop::array::uniform3(0.0f32..1.0), count in 0usize..40,
+    ) {
+        let bounds = Bounds { min, max: [0, 1, 2].map(|i| min[i] + size[i]) };
+        let expected = naive_boxes(&xyz, &frames, &bounds, count);
+        for isa in Isa::available() {
+            prop_assert_eq!(&in_boxes_with(isa, &xyz, &frames, &bounds, count), &expected, "{}", isa.name());
         }
     }
 

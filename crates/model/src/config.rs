@@ -72,6 +72,9 @@ pub struct ModelConfig {
     /// Directions that the score head predicts at each pixel or point, to see how well a hand is aligned with them.
     /// Published: none.
     pub alignments: usize,
+    /// Whether the proposals that the score likes best are scored once more, from the scan as the hand would see it. Not in
+    /// the published network. Ignored for pictures.
+    pub second_look: bool,
     /// How inputs are prepared.
     pub preprocessing: Preprocessing,
 }
@@ -103,6 +106,7 @@ impl ModelConfig {
             points: 10_000,
             surroundings: false,
             alignments: 0,
+            second_look: false,
             preprocessing: Preprocessing::default(),
         }
     }
@@ -189,6 +193,8 @@ struct RawModelConfig {
     #[serde(default)]
     alignments: usize,
     #[serde(default)]
+    second_look: bool,
+    #[serde(default)]
     preprocessing: Preprocessing,
 }
 
@@ -215,6 +221,7 @@ impl From<ModelConfig> for RawModelConfig {
             points,
             surroundings,
             alignments,
+            second_look,
             preprocessing,
         } = c;
         let schema = Schema::V1;
@@ -230,6 +237,7 @@ impl From<ModelConfig> for RawModelConfig {
             points,
             surroundings,
             alignments,
+            second_look,
             preprocessing,
         }
     }
@@ -241,7 +249,15 @@ impl TryFrom<RawModelConfig> for ModelConfig {
     fn try_from(raw: RawModelConfig) -> Result<Self, ConfigError> {
         let RawModelConfig { name, modality, primitives, width, .. } = raw;
         let RawModelConfig {
-            features, hidden, latent, points, surroundings, alignments, preprocessing, ..
+            features,
+            hidden,
+            latent,
+            points,
+            surroundings,
+            alignments,
+            second_look,
+            preprocessing,
+            ..
         } = raw;
         let config = Self {
             name,
@@ -254,6 +270,7 @@ impl TryFrom<RawModelConfig> for ModelConfig {
             points,
             surroundings,
             alignments,
+            second_look,
             preprocessing,
         };
         config.validate()?;

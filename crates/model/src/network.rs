@@ -82,7 +82,11 @@ impl Network {
     #[must_use]
     pub fn shift_scores(mut self, by: &[f32]) -> Self {
         let shift = Tensor::<1>::from_floats(by, &self.device());
-        let last = &mut self.heads.score.mlp2;
+        // Whoever speaks last is moved.
+        let last = match &mut self.heads.second_look {
+            Some(second_look) => &mut second_look.mlp2,
+            None => &mut self.heads.score.mlp2,
+        };
         last.bias = last.bias.take().map(|bias| bias.map(|logits| logits + shift));
         self
     }

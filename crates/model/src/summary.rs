@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::config::{Modality, ModelConfig};
-use crate::heads::ALIGNED;
+use crate::heads::{ALIGNED, HAND_VIEWS};
 use crate::pointnet::{DOWN, LEVELS, SURROUNDINGS, SURROUNDINGS_SIZES, UP, level_channels};
 
 /// A part of a network.
@@ -155,12 +155,20 @@ fn heads(config: &ModelConfig) -> Vec<Block> {
         Modality::Cloud => config.points,
     };
     let head = |input, output| Count::default().linear(input, h, 1, rows).linear(h, output, 1, rows);
-    vec![
+    let mut blocks = vec![
         head(f, p).block("heads.actionability"),
         head(f + 6 + a, p).linear(f, ALIGNED * a, usize::from(a > 0), rows).block("heads.score"),
         head(f + z, 6 * p).block("heads.proposal.decoder"),
         head(f + 6, p * z).linear(h, p * z, 1, rows).block("heads.proposal.encoder"),
-    ]
+    ];
+    if config.second_look {
+        let seen = HAND_VIEWS.len() * SURROUNDINGS_SIZES[2];
+        let views = HAND_VIEWS.iter().fold(head(f + 6 + a + seen, p), |count, view| {
+            count.mlp(3, &SURROUNDINGS_SIZES, rows * view.points)
+        });
+        blocks.push(views.block("heads.second_look"));
+    }
+    blocks
 }
 
 #[cfg(test)]
@@ -195,6 +203,7 @@ mod tests {
             for primitives in [&Primitive::ALL[..1], &Primitive::ALL] {
                 let mut config = ModelConfig::new(modality, primitives).with_width(0.25);
                 config.alignments = primitives.len() - 1;
+                config.second_look = modality == Modality::Cloud;
                 let network = Network::new(&config, Seed(1), &Device::flex());
                 assert_eq!(Summary::new(&config).parameters(), trained(&network));
             }

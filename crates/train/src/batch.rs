@@ -8,15 +8,16 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use where2act_core::shard::{DEPTH_SIDE, DEPTH_UNIT, RGB_SIDE, Shard};
-use where2act_core::{ImageSize, Pixel, Seed};
+use where2act_core::{ImageSize, Orientation6, Pixel, Seed};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
-use where2act_model::{Hierarchy, Modality, ModelConfig};
+use where2act_model::{Grouping, Hierarchy, Modality, ModelConfig, hand_frame};
 
 use crate::config::{BatchConfig, TrainConfig};
 use crate::dataset::{DataError, Dataset, SceneId};
 use crate::probes::{self, Ways};
 use crate::questions::{self, Ground, Question};
 use crate::replay::Replay;
+use crate::sensor;
 
 /// What the network is shown and asked.
 #[derive(Clone, Debug)]
@@ -44,7 +45,7 @@ pub enum BatchInput {
 }
 
 /// Trials first, then places where only actionability is asked.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default)]
 pub struct Queries {
     /// (view, pixel of the picture or target of the view), for trials and places.
     pub places: Vec<(usize, usize)>,
@@ -56,6 +57,8 @@ pub struct Queries {
     pub labels: Vec<f32>,
     /// How much each trial counts: successes and failures of a primitive count the same in a batch.
     pub weights: Vec<f32>,
+    /// What the hand of each trial would see, if the network takes a second look.
+    pub hand_views: Vec<Grouping>,
     /// Which ways each place can go, for trials and places; `None` where nobody knows.
     pub ways: Vec<Option<Ways>>,
     /// Normal of the surface at each place, camera frame, for trials and places; `None` at edges and beside the object.
@@ -69,6 +72,16 @@ impl Queries {
         self.labels.len()
     }
 
+    fn look(&mut self, views: Vec<Grouping>) {
+        if self.hand_views.is_empty() {
+            self.hand_views = views;
+            return;
+        }
+        for (all, view) in self.hand_views.iter_mut().zip(views) {
+            all.offsets.extend(view.offsets);
+        }
+    }
+
     fn see(&mut self, seen: &[Seen]) {
         self.ways.extend(seen.iter().map(|(ways, _)| ways));
         self.normals.extend(seen.iter().map(|(_, normal)| normal));
@@ -80,6 +93,8 @@ struct View {
     input: ViewInput,
     /// Trials as (place, output, orientation, success).
     trials: Vec<(usize, usize, [f32; 6], bool)>,
+    /// What the hands of the trials would see.
+    hand_views: Vec<Grouping>,
     /// Places as (place, output).
     places: Vec<(usize, usize)>,
     /// What is seen at the trials, then at the places.
@@ -173,7 +188,10 @@ impl Source {
         let foreground = match self.model.modality {
             Modality::Rgb => Vec::new(),
             Modality::Cloud => {
-                let seen = shard.foreground(id.scene);
+                let mut seen = shard.foreground(id.scene);
+                if rng.random::<f32>() < self.config.measured {
+                    sensor::measure(&mut seen, rng);
+                }
                 questions.retain(|q| point_of(&seen, q.pixel).is_some());
                 places.retain(|(pixel, _)| point_of(&seen, *pixel).is_some());
                 seen
@@ -240,6 +258,7 @@ fn image_view(
     };
     Ok(View {
         trials: questions.iter().map(|q| (place(q.pixel), q.output, q.orientation, q.success)).collect(),
+        hand_views: Vec::new(),
         places: places.iter().map(|(pixel, output)| (place(*pixel), *output)).collect(),
         seen: Vec::new(),
         input: ViewInput::Image(input.values),
@@ -264,12 +283,16 @@ fn cloud_view(
     let points: Vec<_> = foreground.iter().map(|(_, point)| seen(*point)).collect();
     let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), model, rng)?;
     let asked = questions.iter().map(|q| q.pixel).chain(places.iter().map(|(pixel, _)| *pixel));
-    let targets = asked
+    let targets: Vec<f32> = asked
         .filter_map(|pixel| point_of(foreground, pixel))
         .flat_map(|point| <[f32; 3]>::from(cloud.network_from_metres(&seen(point))))
         .collect();
     let n = questions.len();
+    let hand =
+        |(point, question): (&[f32; 3], &Question)| hand_frame(*point, &Orientation6(question.orientation));
+    let hands: Vec<_> = targets.as_chunks().0.iter().zip(questions).map(hand).collect();
     Ok(View {
+        hand_views: if model.second_look { cloud.hand_views(&hands) } else { Vec::new() },
         input: ViewInput::Cloud(cloud, targets),
         trials: questions.iter().enumerate().map(|(i, q)| (i, q.output, q.orientation, q.success)).collect(),
         places: places.iter().enumerate().map(|(i, (_, output))| (n + i, *output)).collect(),
@@ -277,9 +300,10 @@ fn cloud_view(
     })
 }
 
-fn assemble(views: Vec<View>, model: &ModelConfig) -> Batch {
+fn assemble(mut views: Vec<View>, model: &ModelConfig) -> Batch {
     let mut queries = Queries::default();
-    for (v, view) in views.iter().enumerate() {
+    for (v, view) in views.iter_mut().enumerate() {
+        queries.look(std::mem::take(&mut view.hand_views));
         for (place, output, orientation, success) in &view.trials {
             queries.places.push((v, *place));
             queries.outputs.push(*output);

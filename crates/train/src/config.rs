@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 use where2act_core::{Primitive, Seed};
 use where2act_model::{Modality, ModelConfig};
 
+use crate::step::Phase;
+
 /// Everything that decides the result of a training run. Saved beside the checkpoints; resuming with another one is
 /// refused.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -70,6 +72,9 @@ pub struct NetworkConfig {
     /// paper has none.
     #[serde(default)]
     pub alignments: usize,
+    /// Whether the best proposals for a scan are scored once more, from the scan as the hand would see it. Not in the paper.
+    #[serde(default)]
+    pub second_look: bool,
 }
 
 /// What one step sees.
@@ -91,12 +96,18 @@ pub struct BatchConfig {
     pub half_turns: bool,
     /// Further places of a view at which only actionability is learnt.
     pub places_per_view: usize,
+    /// Share of the scans that are seen as through a depth camera, with noise and holes. The paper's are rendered.
+    pub measured: f32,
 }
 
 /// How long, and how fast the rate falls.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScheduleConfig {
+    /// Steps in which the backbone alone learns, from what the scene knows without any trial: which ways points can go and
+    /// where surfaces face. The paper has none.
+    #[serde(default)]
+    pub look_steps: usize,
     /// Steps in which backbone and score head learn alone.
     pub score_steps: usize,
     /// Steps in which all heads learn.
@@ -191,6 +202,7 @@ impl Default for BatchConfig {
             mirrored: 0.0,
             half_turns: false,
             places_per_view: 16,
+            measured: 0.0,
         }
     }
 }
@@ -306,7 +318,19 @@ impl TrainConfig {
     /// All steps.
     #[must_use]
     pub fn steps(&self) -> usize {
-        self.schedule.score_steps + self.schedule.joint_steps
+        let ScheduleConfig { look_steps, score_steps, joint_steps, .. } = self.schedule;
+        look_steps + score_steps + joint_steps
+    }
+
+    /// What is learnt in a step.
+    #[must_use]
+    pub fn phase(&self, step: usize) -> Phase {
+        let ScheduleConfig { look_steps, score_steps, .. } = self.schedule;
+        match step {
+            _ if step < look_steps => Phase::Look,
+            _ if step < look_steps + score_steps => Phase::Score,
+            _ => Phase::Joint,
+        }
     }
 
     /// The root of the run's randomness.
@@ -325,6 +349,7 @@ impl TrainConfig {
         model.latent = n.latent;
         model.alignments = n.alignments;
         model.surroundings = n.surroundings && n.modality == Modality::Cloud;
+        model.second_look = n.second_look && n.modality == Modality::Cloud;
         model.preprocessing.scan_candidates = n.candidates;
         model
     }
@@ -361,6 +386,8 @@ impl TrainConfig {
         check((0.0..=10.0).contains(&batch.fixed), "batch.fixed", batch.fixed.to_string(), "0 to 10")?;
         let mirrored = batch.mirrored;
         check((0.0..=1.0).contains(&mirrored), "batch.mirrored", mirrored.to_string(), "0 to 1")?;
+        let measured = batch.measured;
+        check((0.0..=1.0).contains(&measured), "batch.measured", measured.to_string(), "0 to 1")?;
         check(self.steps() > 0, "schedule", "0 steps".to_owned(), "at least one step")?;
         check(schedule.epoch_steps > 0, "schedule.epoch_steps", "0".to_owned(), "at least 1")?;
         let rate = schedule.rate;
@@ -383,6 +410,13 @@ impl TrainConfig {
             "1 to 10000",
         )?;
         check(loss.best <= loss.proposals, "loss.best", loss.best.to_string(), "at most loss.proposals")?;
+        let asks = loss.motion + loss.normal > 0.0 || schedule.look_steps == 0;
+        check(
+            asks,
+            "schedule.look_steps",
+            schedule.look_steps.to_string(),
+            "0 without loss.motion or loss.normal",
+        )?;
         let own = self.adaptive.own;
         check((0.0..=1.0).contains(&own), "adaptive.own", own.to_string(), "0 to 1")?;
         let guided = self.collect.guided;
@@ -420,6 +454,7 @@ mod tests {
             ("[batch]\nviews = 0\n", "batch.views"),
             ("[batch]\nvievs = 3\n", "vievs"),
             ("[loss]\nkl = -1.0\n", "loss.kl"),
+            ("look_steps = 3\n", "schedule.look_steps"),
             ("[collect]\nguided = 2.0\n", "collect.guided"),
         ] {
             let error = load(&(minimal() + extra)).unwrap_err().to_string();

@@ -21,6 +21,7 @@ pub mod probes;
 mod questions;
 mod replay;
 pub mod run;
+mod sensor;
 mod split;
 pub mod step;
 mod validate;

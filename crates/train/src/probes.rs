@@ -3,7 +3,6 @@
 
 use burn::module::Module;
 use burn::nn::{Initializer, Linear, LinearConfig};
-use burn::tensor::activation::leaky_relu;
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Point3, Vector3};
 use where2act_core::shard::Freedom;
@@ -23,13 +22,12 @@ pub struct Learner {
     pub normal: Option<Probe>,
 }
 
-/// A question to the features that has nothing to do with hands.
+/// A question to the features that has nothing to do with hands. It is linear, as the score's alignments are, so that the
+/// answer stands in the features as these need it.
 #[derive(Module, Debug)]
 pub struct Probe {
-    /// Weight `[features, hidden]`.
-    pub mlp1: Linear,
-    /// Weight `[hidden, answers]`.
-    pub mlp2: Linear,
+    /// Weight `[features, answers]`.
+    pub linear: Linear,
 }
 
 /// The ways a point can go, forth and back, in the camera frame: of length 1, shorter where a turning part has little
@@ -38,9 +36,6 @@ pub type Ways = [Vector3<f32>; 2];
 
 /// Distance from its axis at which a turning part has all the leverage it needs, metres.
 const LEVERAGE: f32 = 0.1;
-
-/// Slope of the hidden activation for negative numbers, as in the network's heads.
-const LEAK: f64 = 0.01;
 
 impl Learner {
     /// A network and the probes that a configuration asks for, with weights that depend on the seed alone.
@@ -58,17 +53,15 @@ impl Learner {
 impl Probe {
     /// A probe for the features of a network, with weights that wait to be drawn.
     fn new(config: &ModelConfig, answers: usize, device: &Device) -> Self {
-        let linear = |inputs, outputs| {
-            LinearConfig::new(inputs, outputs).with_initializer(Initializer::Zeros).init(device)
-        };
-        Self { mlp1: linear(config.features, config.hidden), mlp2: linear(config.hidden, answers) }
+        let linear = LinearConfig::new(config.features, answers).with_initializer(Initializer::Zeros);
+        Self { linear: linear.init(device) }
     }
 
     /// # Shapes
     /// `[q, features]` -> `[q, answers]`
     #[must_use]
     pub fn forward(&self, features: Tensor<2>) -> Tensor<2> {
-        self.mlp2.forward(leaky_relu(self.mlp1.forward(features), LEAK))
+        self.linear.forward(features)
     }
 }
 

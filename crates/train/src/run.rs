@@ -14,14 +14,14 @@ use burn::optim::{AdamConfig, GradientsParams};
 use burn::tensor::{Device, Tensor};
 use serde::Serialize;
 use where2act_core::shard::Manifest;
-use where2act_core::{Policy, Trial, write_whole};
+use where2act_core::{Policy, Seed, Trial, write_whole};
 use where2act_model::preprocess::{CloudInput, CloudScale};
 use where2act_model::{Modality, ModelConfig, Network, Precision, Weights, WeightsError, save_weights};
 
 use crate::adaptive;
 use crate::batch::{Batch, Source};
 use crate::checkpoint::{self, CheckpointError, Progress, State};
-use crate::config::{ConfigError, TrainConfig};
+use crate::config::{BatchConfig, ConfigError, TrainConfig};
 use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
 use crate::probes::Learner;
@@ -105,7 +105,9 @@ pub struct StepReport {
     /// Weighted sum of the losses.
     pub loss: f32,
     /// Cross-entropy of the score.
-    pub score: f32,
+    pub score: Option<f32>,
+    /// Cross-entropy of the score at second look.
+    pub second: Option<f32>,
     /// Angle of the reconstruction, radians.
     pub geodesic: Option<f32>,
     /// Divergence of the code.
@@ -202,7 +204,9 @@ pub fn train<'a>(
 ) -> Result<Outcome, TrainError> {
     config.validate()?;
     let train_scenes: Arc<[SceneId]> = dataset.scenes(Part::Train)?.into();
-    dataset.require_successes(&train_scenes, &config.network.primitives)?;
+    if config.phase(config.steps() - 1) != Phase::Look {
+        dataset.require_successes(&train_scenes, &config.network.primitives)?;
+    }
     let mut validation_scenes = dataset.scenes(Part::Validation)?;
     validation_scenes.truncate(VALIDATION_SCENES);
 
@@ -274,7 +278,8 @@ impl Run<'_> {
     }
 
     fn outcome(&self, finished: bool) -> Outcome {
-        let weights = self.out.join(files::WEIGHTS);
+        let looks_only = self.config.phase(self.config.steps() - 1) == Phase::Look;
+        let weights = self.out.join(if looks_only { files::LAST } else { files::WEIGHTS });
         Outcome {
             finished,
             weights: weights.is_dir().then_some(weights),
@@ -317,7 +322,7 @@ impl Run<'_> {
     }
 
     fn step(&mut self, step: usize, batch: &Batch, reading: f64) -> Result<(), TrainError> {
-        let phase = if step < self.config.schedule.score_steps { Phase::Score } else { Phase::Joint };
+        let phase = self.config.phase(step);
         let mut rng = self.config.root_seed().child("noise", step as u64).rng();
         let mut secs = StageSecs { reading, ..StageSecs::default() };
         let mut watch = Instant::now();
@@ -346,7 +351,8 @@ impl Run<'_> {
         let network = self.state.learner.network.clone().valid();
         let seed = self.config.root_seed();
         let validation = validate(&network, &self.dataset, &self.validation_scenes, seed)?;
-        let joint = self.state.progress.step > self.config.schedule.score_steps;
+        let joint = self.config.phase(self.state.progress.step - 1) == Phase::Joint;
+        let motion = self.motion(seed)?;
         // Proposals and actionability are learnt in the joint phase alone: weights of the first phase cannot be used.
         let is_best = joint && self.state.progress.best.is_none_or(|best| validation.figure > best);
         if is_best {
@@ -360,9 +366,14 @@ impl Run<'_> {
             if is_best {
                 save(files::WEIGHTS)?;
             }
+        } else if self.config.phase(self.config.steps() - 1) == Phase::Look {
+            let card = card(self.config, &self.state.progress, &Validation::default());
+            save_weights(&self.out.join(files::LAST), &network, &card, Precision::F16)?;
         }
         let step = self.state.progress.step;
-        self.log(&serde_json::json!({ "step": step, "epoch": epoch, "validation": validation }))?;
+        let line =
+            serde_json::json!({ "step": step, "epoch": epoch, "validation": validation, "ways": motion });
+        self.log(&line)?;
         let report = EpochReport { step, joint, epoch, validation: &validation, is_best, network: &network };
         let new = (self.control.on_epoch)(&report);
         if !new.is_empty() {
@@ -375,6 +386,29 @@ impl Run<'_> {
         }
         curves::draw(&self.out.join(files::METRICS), &self.out.join(files::CURVES))?;
         self.save()
+    }
+
+    /// How much the ways that points of validation scenes can go differ from those the features tell.
+    fn motion(&self, seed: Seed) -> Result<Option<f32>, TrainError> {
+        let learner = self.state.learner.clone().valid();
+        if learner.motion.is_none() {
+            return Ok(None);
+        }
+        let mut source = Source::new(
+            self.dataset.clone(),
+            self.validation_scenes.clone().into(),
+            Arc::default(),
+            self.config,
+        );
+        source.config = BatchConfig { mirrored: 0.0, measured: 0.0, places_per_view: 64, ..source.config };
+        let batches = self.validation_scenes.len().div_ceil(source.config.views);
+        let mut sum = 0.0;
+        for step in 0..batches {
+            let batch = source.batch(step)?;
+            let losses = forward(&learner, &batch, Phase::Look, &self.config.loss, &mut seed.rng());
+            sum += losses.motion.as_ref().map_or(0.0, number);
+        }
+        Ok(Some(sum / batches as f32))
     }
 
     fn save(&mut self) -> Result<(), TrainError> {
@@ -415,7 +449,8 @@ fn report(
         step,
         steps: config.steps(),
         loss,
-        score: number(&losses.score),
+        score: read(&losses.score),
+        second: read(&losses.second),
         geodesic: read(&losses.geodesic),
         kl: read(&losses.kl),
         actionability: read(&losses.actionability),
@@ -448,18 +483,20 @@ fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> 
         return Ok(Learner::new(Network::new(model, seed, device), &config.loss, seed));
     };
     let network = Weights::load(folder, device)?.network;
-    // What does not change the shape of any parameter may differ.
+    // What does not change the shape of any parameter may differ, and a second look may be added.
     let found = network.config().clone();
     let comparable = ModelConfig {
         name: model.name.clone(),
         points: model.points,
         preprocessing: model.preprocessing.clone(),
+        second_look: found.second_look || model.second_look,
         ..found
     };
     if comparable != *model {
         return Err(TrainError::OtherNetwork { path: folder.clone() });
     }
-    Ok(Learner::new(network.with_config(|own| *own = model.clone()), &config.loss, seed))
+    let network = Network::new(model, seed, device).with_tensors_of(&network)?;
+    Ok(Learner::new(network, &config.loss, seed))
 }
 
 /// The network's description with the sizes of clouds that training will see.

@@ -8,17 +8,19 @@ use rand_distr::{Distribution, StandardNormal};
 use where2act_model::losses::{
     binary_cross_entropy, geodesic_distance, kl_divergence, squared_error, weighted_mean,
 };
-use where2act_model::{Choice, Heads, Input, Network, to_axes};
+use where2act_model::{Choice, Heads, Input, Network, SecondLook, to_axes};
 
 use crate::batch::{Batch, BatchInput, Queries};
 use crate::config::LossConfig;
 use crate::probes::{Learner, Probe, Ways, difference};
 
 /// Losses of a step before they are weighted. They stay tensors until somebody wants to read them.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Losses {
-    /// Binary cross-entropy of the score.
-    pub score: Tensor<1>,
+    /// Binary cross-entropy of the score; `None` in the look phase.
+    pub score: Option<Tensor<1>>,
+    /// The same of the score at second look; `None` if there is none.
+    pub second: Option<Tensor<1>>,
     /// Mean angle between reconstructed and successful orientations, radians; `None` in the score phase.
     pub geodesic: Option<Tensor<1>>,
     /// Divergence of the proposal's code; `None` in the score phase.
@@ -35,26 +37,25 @@ impl Losses {
     /// The weighted sum that is minimised.
     #[must_use]
     pub fn total(&self, weights: &LossConfig) -> Tensor<1> {
-        let mut total = self.score.clone() * weights.score;
-        let further = [
+        let all = [
+            (&self.score, weights.score),
+            (&self.second, weights.score),
             (&self.geodesic, weights.geodesic),
             (&self.kl, weights.kl),
             (&self.actionability, weights.actionability),
             (&self.motion, weights.motion),
             (&self.normal, weights.normal),
         ];
-        for (loss, weight) in further {
-            if let Some(loss) = loss {
-                total = total + loss.clone() * weight;
-            }
-        }
-        total
+        let weighted = all.into_iter().filter_map(|(loss, weight)| Some(loss.clone()? * weight));
+        weighted.reduce(|sum, loss| sum + loss).unwrap_or_else(|| Tensor::zeros([1], &Device::default()))
     }
 }
 
-/// Which heads learn.
+/// What learns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
+    /// The backbone alone, from what the scene knows without trials.
+    Look,
     /// Backbone and score head alone.
     Score,
     /// All heads.
@@ -81,14 +82,6 @@ pub fn forward(
         }
         BatchInput::Clouds(hierarchy) => network.features_at(Input::Clouds(hierarchy), &queries.places),
     };
-    let outputs = network.config().primitives.len();
-    let of_trials = features.clone().narrow(0, 0, trials);
-    let orientations = orientations(queries, &device);
-    let choice = Choice::new(&queries.outputs[..trials], outputs, &device);
-    let logits = choice.pick(network.heads.score.forward(of_trials.clone(), orientations.clone()));
-    let labels = Tensor::from_floats(queries.labels.as_slice(), &device);
-    let weights = Tensor::from_floats(queries.weights.as_slice(), &device);
-    let score = weighted_mean(binary_cross_entropy(logits, labels), weights);
     let ask = |probe: &Option<Probe>| probe.as_ref().map(|probe| probe.forward(features.clone()));
     let motion = ask(motion).map(|thought| {
         let flat = |[a, b]: Ways| [a.x, a.y, a.z, b.x, b.y, b.z];
@@ -100,8 +93,25 @@ pub fn forward(
         let [q, _] = thought.dims();
         weighted_mean((thought - normals).powi_scalar(2).sum_dim(1).reshape([q]), known)
     });
+    let seen = Losses { motion, normal, ..Losses::default() };
+    if phase == Phase::Look {
+        return seen;
+    }
+
+    let outputs = network.config().primitives.len();
+    let of_trials = features.clone().narrow(0, 0, trials);
+    let orientations = orientations(queries, &device);
+    let choice = Choice::new(&queries.outputs[..trials], outputs, &device);
+    let labels = Tensor::from_floats(queries.labels.as_slice(), &device);
+    let weights = Tensor::from_floats(queries.weights.as_slice(), &device);
+    let wrong =
+        |logits| weighted_mean(binary_cross_entropy(choice.pick(logits), labels.clone()), weights.clone());
+    let hands = network.heads.score.hands(of_trials.clone(), orientations.clone().unsqueeze_dim(1));
+    let score = Some(wrong(network.heads.score.forward_hands(of_trials.clone(), hands.clone())));
+    let look = |look: &SecondLook| wrong(look.forward(of_trials.clone(), hands.clone(), &queries.hand_views));
+    let second = network.heads.second_look.as_ref().map(look);
     if phase == Phase::Score {
-        return Losses { score, geodesic: None, kl: None, actionability: None, motion, normal };
+        return Losses { score, second, ..seen };
     }
 
     let (geodesic, kl) = reconstruction(network, queries, of_trials, &orientations, rng);
@@ -110,7 +120,7 @@ pub fn forward(
         actionability_target(&network.heads.clone().valid(), features.clone().inner(), queries, config, rng);
     let guess = choice.pick(network.heads.actionability.forward(features));
     let actionability = squared_error(guess, Tensor::from_inner(target).detach()).sum() / all.max(1) as f32;
-    Losses { score, geodesic, kl, actionability: Some(actionability), motion, normal }
+    Losses { score, second, geodesic, kl, actionability: Some(actionability), ..seen }
 }
 
 /// The right answers to a probe, `[q, n]`, and where they are known, `[q]`.

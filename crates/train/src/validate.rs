@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use where2act_core::shard::{RGB_SIDE, SceneRecord};
 use where2act_core::{ImageSize, Orientation6, Policy, Seed, Trial};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
-use where2act_model::{Choice, Input, Modality, Network};
+use where2act_model::{Choice, Heads, Input, Modality, Network, hand_frame};
 
 use crate::batch::picture_pixel;
 use crate::dataset::{DataError, Dataset, SceneId};
@@ -44,6 +44,9 @@ pub fn score_record(
     if trials.is_empty() {
         return Ok(Vec::new());
     }
+    let orientations: Vec<Orientation6> =
+        trials.iter().map(|t| Orientation6::from_rotation(&t.grasp_in_camera.rotation)).collect();
+    let mut hand_views = Vec::new();
     let features = match config.modality {
         Modality::Rgb => {
             let size = ImageSize::square(RGB_SIDE);
@@ -57,16 +60,25 @@ pub fn score_record(
             let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), config, rng)?;
             let target = |t: &&Trial| <[f32; 3]>::from(cloud.network_from_metres(&t.grasp_in_camera.point));
             let targets: Vec<f32> = trials.iter().flat_map(target).collect();
+            if config.second_look {
+                let hand = |(point, orientation): (&[f32; 3], &Orientation6)| hand_frame(*point, orientation);
+                let hands: Vec<_> = targets.as_chunks().0.iter().zip(&orientations).map(hand).collect();
+                hand_views = cloud.hand_views(&hands);
+            }
             let queries: Vec<_> = (0..trials.len()).map(|i| (0, i)).collect();
             let hierarchy = CloudInput::hierarchy(&[cloud], &[targets], config);
             network.features_at(Input::Clouds(&hierarchy), &queries)
         }
     };
-    let orientations: Vec<[f32; 6]> =
-        trials.iter().map(|t| Orientation6::from_rotation(&t.grasp_in_camera.rotation).0).collect();
-    let orientations = TensorData::new(orientations.concat(), [trials.len(), 6]);
+    let orientations: Vec<f32> = orientations.iter().flat_map(|orientation| orientation.0).collect();
+    let orientations = Tensor::<2>::from_data(TensorData::new(orientations, [trials.len(), 6]), &device);
+    let Heads { score, second_look, .. } = &network.heads;
+    let hands = score.hands(features.clone(), orientations.unsqueeze_dim(1));
+    let logits = match second_look {
+        Some(look) => look.forward(features, hands, &hand_views),
+        None => score.forward_hands(features, hands),
+    };
     let choice = Choice::new(&outputs, config.primitives.len(), &device);
-    let logits = network.heads.score.forward(features, Tensor::from_data(orientations, &device));
     let scores = sigmoid(choice.pick(logits)).into_data().convert::<f32>();
     let scores = scores.as_slice::<f32>().unwrap_or_default();
     Ok(trials.into_iter().copied().zip(scores.iter().copied()).collect())

@@ -34,6 +34,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             points: 256,
             surroundings: false,
             alignments: 2,
+            second_look: true,
             candidates: 256,
         },
         batch: BatchConfig {
@@ -41,9 +42,11 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             trials_per_view: 32,
             flipped: 0.2,
             places_per_view: 4,
+            measured: 0.5,
             ..BatchConfig::default()
         },
         schedule: ScheduleConfig {
+            look_steps: 0,
             score_steps,
             joint_steps,
             epoch_steps: 6,
@@ -134,15 +137,48 @@ fn a_run_may_start_from_weights() {
     let (second, _) = train_for(&further, &data, &folder.path().join("second"), usize::MAX).unwrap();
     let tensors = |weights: &Path| Tensors::read(&weights.join("model.safetensors")).unwrap().by_name;
     let (before, after) = (tensors(&weights), tensors(&second.weights.unwrap()));
-    // Statistics follow the data, and the scores' bias their best threshold.
-    let own = |name: &str| !name.contains("running_") && name != "heads.score.mlp2.bias";
+    // Statistics follow the data, and the last scores' bias their best threshold.
+    let own = |name: &str| !name.contains("running_") && name != "heads.second_look.mlp2.bias";
     let same = |name: &str| before.get(name) == after.get(name);
     let different: Vec<_> = before.keys().filter(|name| own(name) && !same(name)).collect();
     assert!(different.is_empty(), "{different:?}");
+    // A second look may be added to what had none, and not the other way round.
+    let mut without = config(3, 3);
+    without.network.second_look = false;
+    let plain = train_for(&without, &data, &folder.path().join("plain"), usize::MAX).unwrap().0.weights;
+    let added = TrainConfig { from: plain, ..config(1, 1) };
+    let (added, _) = train_for(&added, &data, &folder.path().join("added"), usize::MAX).unwrap();
+    assert!(Weights::load(&added.weights.unwrap(), &Device::flex()).unwrap().network.config().second_look);
+    let less = TrainConfig { from: Some(weights.clone()), ..without };
+    let error = train_for(&less, &data, &folder.path().join("less"), 1).unwrap_err();
+    assert!(matches!(error, TrainError::OtherNetwork { .. }), "{error}");
     let mut other = further;
     other.network.hidden = 48;
     let error = train_for(&other, &data, &folder.path().join("other"), 1).unwrap_err();
     assert!(matches!(&error, TrainError::OtherNetwork { path } if *path == weights), "{error}");
+}
+
+#[test]
+fn a_backbone_may_look_before_there_are_any_trials() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("data");
+    boards::write_without_trials(&path, 0..40);
+    let data = Arc::new(Dataset::open(&path, false).unwrap());
+    let mut looks = config(0, 0);
+    looks.schedule.look_steps = 30;
+    looks.batch.places_per_view = 32;
+    let (outcome, losses) = train_for(&looks, &data, &folder.path().join("looks"), usize::MAX).unwrap();
+    assert!(losses[29] < 0.5 * losses[0], "{losses:?}");
+    let metrics = std::fs::read_to_string(folder.path().join("looks").join(files::METRICS)).unwrap();
+    let lines = metrics.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let ways: Vec<f64> = lines.filter_map(|line| line["ways"].as_f64()).collect();
+    assert!(ways.len() == 5 && ways[4] < ways[0], "{ways:?}");
+    // What it learnt is where training with trials goes on from.
+    let further = TrainConfig { from: outcome.weights, ..config(1, 1) };
+    let error = train_for(&further, &data, &folder.path().join("none"), 1).unwrap_err();
+    assert!(matches!(error, TrainError::Data(DataError::NoSuccess { .. })), "{error}");
+    let trials = self::data(&folder.path().join("trials"), 32);
+    assert!(train_for(&further, &trials, &folder.path().join("further"), usize::MAX).unwrap().0.finished);
 }
 
 #[test]

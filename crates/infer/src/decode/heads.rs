@@ -13,13 +13,14 @@ use where2act_model::{Heads, LastLayer, ModelConfig, ScoreHead};
 
 use super::frames::{self, LANES};
 use super::plain::Plain;
+use super::second_look::SecondLook;
 use super::sigmoid;
 use crate::Error;
 
 /// Slope of the heads' hidden activation for negative numbers, as in the model crate.
-const LEAK: f32 = 0.01;
+pub(super) const LEAK: f32 = 0.01;
 /// Numbers of a hand that an alignment weighs: approach, forward, left.
-const AXES: usize = 9;
+pub(super) const AXES: usize = 9;
 /// Those of them that the score sees without alignments too: approach, forward.
 const SEEN: usize = 6;
 
@@ -47,6 +48,8 @@ pub(crate) struct DecodingHeads {
     hand: Hand,
     /// A logit, per primitive.
     scores: Vec<Output>,
+    /// The second score, if the network has one.
+    pub(crate) second_look: Option<SecondLook>,
 }
 
 /// What the decoder draws orientations from.
@@ -103,6 +106,7 @@ impl DecodingHeads {
             score_feature: mlp(isa, &score_feature)?,
             hand: Hand::new(isa, &heads.score, hand, hidden, last)?,
             scores: Output::of(&heads.score.mlp2, primitives, hidden)?,
+            second_look: SecondLook::new(isa, heads, last)?,
         })
     }
 
@@ -227,14 +231,14 @@ fn mlp(isa: Isa, layer: &Plain) -> Result<Mlp, Error> {
 }
 
 /// Rows through an MLP; each result starts from the row of the table that belongs to it.
-fn run(mlp: &Mlp, rows: &[f32], from: Option<(&[f32], &[i64])>) -> Result<Vec<f32>, Error> {
+pub(super) fn run(mlp: &Mlp, rows: &[f32], from: Option<(&[f32], &[i64])>) -> Result<Vec<f32>, Error> {
     let mut out = vec![0.0; rows.len() / mlp.inputs().max(1) * mlp.outputs()];
     let lookup = from.map(|(table, rows)| Lookup { table, rows, weights: None, each: 1 });
     mlp.run(MlpInput { rows, lookup, pool: 1 }, &mut out).map_err(failed)?;
     Ok(out)
 }
 
-fn failed(error: ShapeError) -> Error {
+pub(super) fn failed(error: ShapeError) -> Error {
     Error::Network(error.to_string())
 }
 

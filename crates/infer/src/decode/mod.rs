@@ -4,12 +4,14 @@ mod candidates;
 mod frames;
 mod heads;
 mod plain;
+mod second_look;
 mod select;
 #[cfg(test)]
 mod tests;
 
 pub(crate) use candidates::Places;
 pub(crate) use heads::{Codes, DecodingHeads};
+pub(crate) use second_look::LOOKS;
 pub(crate) use select::{Scored, select};
 
 /// 1 / (1 + exp(-x)), to some 3e-7. The library's exponential would be called number by number, a quarter of a million times

@@ -1,13 +1,14 @@
 use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use nalgebra::Point3;
 use where2act_core::{Observation, Orientation6, Primitive, Seed};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
-use where2act_model::{Engine, LastLayer, Modality, ModelConfig, Network, Weights, to_axes};
+use where2act_model::{Engine, LastLayer, Modality, ModelConfig, Network, Weights, hand_frame, to_axes};
 
 use super::heads::normal;
 use super::plain::numbers;
-use super::{DecodingHeads, sigmoid};
+use super::{DecodingHeads, Scored, sigmoid};
 use crate::read::{read_picture, read_scan};
 
 fn tensor(values: &[f32], width: usize) -> Tensor<2> {
@@ -88,6 +89,50 @@ fn decoding_equals_the_heads_of_the_model() {
         check(&network, None, &noise(50 * 128), &[49, 3]);
         let last = LastLayer { weights: noise(32 * 128), bias: noise(128) };
         check(&network, Some(&last), &noise(50 * 32), &[17, 0]);
+    }
+}
+
+/// The second look of the model crate, whose scores decoding must equal.
+#[test]
+fn a_second_look_equals_the_models() {
+    let noise = |n: usize| (0..n).map(|i| ((i * 37 % 101) as f32 / 50.0 - 1.0).powi(3)).collect::<Vec<_>>();
+    for alignments in [0, 5] {
+        let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL[1..4]).with_points(64);
+        (config.hidden, config.alignments, config.second_look) = (40, alignments, true);
+        let network = Network::new(&config, Seed(3), &Device::flex());
+        let heads = DecodingHeads::new(&network.heads, &config, None).unwrap();
+        let points: Vec<Point3<f32>> =
+            noise(900).as_chunks().0.iter().map(|&[x, y, z]| Point3::new(x, y, 3.0 + 0.1 * z)).collect();
+        let cloud = CloudInput::new(&points, CloudScale::PerMetre(0.7), &config, &mut Seed(1).rng()).unwrap();
+        let (features, rows) = (noise(64 * 128), [7, 60]);
+        let rotation = |i: usize| Orientation6(std::array::from_fn(|k| noise(99)[6 * i + k])).to_rotation();
+        let hand = |i: usize| Scored {
+            candidate: i % 2,
+            pixel: where2act_core::Pixel { u: 0, v: 0 },
+            rotation: rotation(i),
+            score: 0.0,
+        };
+        let hands: Vec<Scored> = (0..6).map(hand).collect();
+        let row = |hand: &Scored| rows[hand.candidate] as usize;
+        let orientations: Vec<_> = hands.iter().map(|h| Orientation6::from_rotation(&h.rotation)).collect();
+        let own: Vec<f32> = hands.iter().flat_map(|h| features[128 * row(h)..][..128].to_vec()).collect();
+        let frames: Vec<_> = hands
+            .iter()
+            .zip(&orientations)
+            .map(|(h, orientation)| hand_frame(cloud.xyz.as_chunks().0[row(h)], orientation))
+            .collect();
+        let axes: Vec<f32> = orientations.iter().flat_map(|o| o.0).collect();
+        let (score, look) = (&network.heads.score, network.heads.second_look.as_ref().unwrap());
+        let own = tensor(&own, 128);
+        let seen = score.hands(own.clone(), tensor(&axes, 6).unsqueeze_dim(1));
+        let logits = numbers(look.forward(own, seen, &cloud.hand_views(&frames))).unwrap();
+        for output in 0..3 {
+            let found =
+                heads.second_look.as_ref().unwrap().score(&features, &cloud, &rows, hands.clone(), output);
+            let found: Vec<f32> = found.unwrap().iter().map(|h| h.score).collect();
+            let expected: Vec<f32> = logits.iter().skip(output).step_by(3).map(|l| sigmoid(*l)).collect();
+            close(&format!("output {output}"), &found, &expected, TOLERANCE);
+        }
     }
 }
 

@@ -7,10 +7,12 @@
 //! Squared distances are computed as `dx*dx + dy*dy + dz*dz` without fused multiply-add, in this order, so that every
 //! instruction set gives the same bits.
 
+mod boxes;
 mod neighbours;
 mod rows;
 mod sampling;
 
+pub use boxes::{Bounds, Frame, in_boxes, in_boxes_with};
 pub use neighbours::{ball_query, ball_query_with, three_nearest, three_nearest_with};
 pub use rows::{Selection, gather_around, offset_gradient};
 pub use sampling::{furthest_point_sampling, furthest_point_sampling_with};

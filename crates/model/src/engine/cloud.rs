@@ -3,7 +3,7 @@
 use where2act_kernels::{Isa, Lookup, Mlp, MlpInput, ShapeError};
 
 use super::fold::{Plain, mlp};
-use crate::pointnet::{Grouping, Hierarchy, Interpolation, MlpLayer, PointMlp, PointNet2};
+use crate::pointnet::{Grouping, Hierarchy, Interpolation, MlpLayer, PointMlp, PointNet2, Surroundings};
 
 /// A step down or up. Its first layer is a sum over two inputs: one that many rows share, whose part is computed
 /// once for each of its own rows and looked up, and one of each row.
@@ -12,11 +12,15 @@ struct Step {
     rest: Mlp,
 }
 
+/// A [`Surroundings`] compiled for one instruction set.
+pub struct SurroundingsEngine {
+    mlps: Vec<Mlp>,
+}
+
 /// PointNet++ compiled for one instruction set.
 pub(super) struct CloudEngine {
     down: Vec<Step>,
-    /// One for each of the surroundings a point is described by.
-    surroundings: Vec<Mlp>,
+    surroundings: Option<SurroundingsEngine>,
     up: Vec<Step>,
     head: Mlp,
 }
@@ -57,9 +61,8 @@ impl CloudEngine {
             coarse = step.rest.outputs();
             up.push(step);
         }
-        let around = |net: &PointMlp| mlp(isa, 3, &net.layers.iter().map(plain).collect::<Vec<_>>());
-        let described = net.surroundings.iter().flat_map(|surroundings| &surroundings.mlps);
-        let surroundings = described.map(around).collect::<Result<_, _>>()?;
+        let surroundings =
+            net.surroundings.as_ref().map(|net| SurroundingsEngine::new(isa, net)).transpose()?;
         Ok(Self { down, surroundings, up, head: mlp(isa, coarse, &[plain(&net.head)])? })
     }
 
@@ -76,8 +79,8 @@ impl CloudEngine {
             levels.push(level);
         }
         let mut coarse = levels.pop().unwrap_or_default();
-        if let Some(points) = levels.first_mut() {
-            *points = self.surrounded(points, hierarchy)?;
+        if let (Some(points), Some(surroundings)) = (levels.first_mut(), &self.surroundings) {
+            *points = surroundings.append(points, 3, hierarchy.surroundings())?;
         }
         for (step, interpolation) in self.up.iter().zip(hierarchy.interpolations().iter().rev()) {
             let skip = levels.pop().unwrap_or_default();
@@ -85,26 +88,42 @@ impl CloudEngine {
         }
         self.head.run(MlpInput { rows: &coarse, lookup: None, pool: 1 }, output)
     }
+}
 
-    /// Points with what is around each behind its coordinates; zeros if nobody looked.
-    fn surrounded(&self, points: &[f32], hierarchy: &Hierarchy) -> Result<Vec<f32>, ShapeError> {
-        let channels: usize = 3 + self.surroundings.iter().map(Mlp::outputs).sum::<usize>();
-        let mut rows = vec![0.0; points.len() / 3 * channels];
-        for (row, point) in rows.chunks_exact_mut(channels).zip(points.chunks_exact(3)) {
-            row[..3].copy_from_slice(point);
+impl SurroundingsEngine {
+    /// Compiles the shared MLPs of all kinds of neighbourhoods.
+    ///
+    /// # Errors
+    /// Never for a [`Surroundings`] of this crate.
+    pub fn new(isa: Isa, net: &Surroundings) -> Result<Self, ShapeError> {
+        let compile = |net: &PointMlp| mlp(isa, 3, &net.layers.iter().map(plain).collect::<Vec<_>>());
+        Ok(Self { mlps: net.mlps.iter().map(compile).collect::<Result<_, _>>()? })
+    }
+
+    /// Rows of `width` numbers, one for each place, with what is around the place behind them: zeros if nobody looked.
+    ///
+    /// # Errors
+    /// When there are not as many neighbourhoods as rows.
+    pub fn append(&self, rows: &[f32], width: usize, around: &[Grouping]) -> Result<Vec<f32>, ShapeError> {
+        let places = rows.len() / width.max(1);
+        let channels = width + self.mlps.iter().map(Mlp::outputs).sum::<usize>();
+        let mut longer = vec![0.0; places * channels];
+        for (row, own) in longer.chunks_exact_mut(channels).zip(rows.chunks_exact(width.max(1))) {
+            row[..width].copy_from_slice(own);
         }
-        let mut start = 3;
-        for (net, found) in self.surroundings.iter().zip(hierarchy.surroundings()) {
-            let mut described = vec![0.0; points.len() / 3 * net.outputs()];
+        let mut start = width;
+        for (net, found) in self.mlps.iter().zip(around) {
+            let mut described = vec![0.0; places * net.outputs()];
             let input = MlpInput { rows: &found.offsets, lookup: None, pool: found.neighbours };
             net.run(input, &mut described)?;
-            for (row, of_point) in rows.chunks_exact_mut(channels).zip(described.chunks_exact(net.outputs()))
+            for (row, of_place) in
+                longer.chunks_exact_mut(channels).zip(described.chunks_exact(net.outputs()))
             {
-                row[start..start + net.outputs()].copy_from_slice(of_point);
+                row[start..start + net.outputs()].copy_from_slice(of_place);
             }
             start += net.outputs();
         }
-        Ok(rows)
+        Ok(longer)
     }
 }
 

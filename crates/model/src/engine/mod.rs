@@ -18,6 +18,7 @@ use where2act_kernels::{AlignedBuf, Isa, ShapeError};
 use crate::network::{Backbone, Network};
 use crate::pointnet::Hierarchy;
 use cloud::CloudEngine;
+pub use cloud::SurroundingsEngine;
 
 /// Why a network cannot be compiled, or an input not be taken.
 #[derive(Debug, thiserror::Error)]

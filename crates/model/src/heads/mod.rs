@@ -7,6 +7,7 @@ mod actionability;
 mod proposal;
 mod rotation;
 mod score;
+mod second_look;
 #[cfg(all(test, feature = "train"))]
 mod tests;
 
@@ -21,8 +22,9 @@ pub use proposal::{Code, ProposalDecoder, ProposalEncoder, ProposalHead};
 pub use rotation::{rotation_matrix, to_axes};
 pub(crate) use score::ALIGNED;
 pub use score::ScoreHead;
+pub use second_look::{HAND_VIEWS, HandView, SecondLook, hand_frame};
 
-/// The three heads.
+/// The heads.
 #[derive(Module, Debug)]
 pub struct Heads {
     /// Feature -> how actionable.
@@ -31,6 +33,8 @@ pub struct Heads {
     pub score: ScoreHead,
     /// Feature and random code -> orientation.
     pub proposal: ProposalHead,
+    /// How likely the best of them really are to succeed; `None` in the published network.
+    pub second_look: Option<SecondLook>,
 }
 
 impl Heads {
@@ -39,6 +43,7 @@ impl Heads {
             actionability: ActionabilityHead::new(config, device),
             score: ScoreHead::new(config, device),
             proposal: ProposalHead::new(config, device),
+            second_look: config.second_look.then(|| SecondLook::new(config, device)),
         }
     }
 }

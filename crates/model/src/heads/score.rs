@@ -47,6 +47,17 @@ impl ScoreHead {
     #[must_use]
     pub fn forward(&self, features: Tensor<2>, orientations: Tensor<2>) -> Tensor<2> {
         let hands = self.hands(features.clone(), orientations.unsqueeze_dim(1));
+        self.forward_hands(features, hands)
+    }
+
+    /// [`Self::forward`] for what [`Self::hands`] made of the orientations.
+    ///
+    /// # Shapes
+    /// - `features`: `[q, features]`
+    /// - `hands`: `[q, 6 + alignments]`
+    /// - output: `[q, primitives]`
+    #[must_use]
+    pub fn forward_hands(&self, features: Tensor<2>, hands: Tensor<2>) -> Tensor<2> {
         self.from_halves(self.feature_half(features) + self.hand_half(hands))
     }
 

@@ -46,8 +46,8 @@ impl PointNet2 {
     #[must_use]
     pub fn new(features: usize, with_surroundings: bool, device: &Device) -> Self {
         let channels = level_channels();
-        let surroundings = with_surroundings.then(|| Surroundings::new(device));
-        let around = if with_surroundings { surroundings::CHANNELS } else { 0 };
+        let surroundings = with_surroundings.then(|| Surroundings::new(SURROUNDINGS.len(), device));
+        let around = surroundings.as_ref().map_or(0, Surroundings::channels);
         let abstraction = (0..4).map(|i| Abstraction::new(channels[i], &DOWN[i], device)).collect();
         let propagation = (0..4)
             .map(|i| {

@@ -3,34 +3,37 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
 
-use super::hierarchy::{Grouping, SURROUNDINGS};
+use super::hierarchy::Grouping;
 use super::mlp::PointMlp;
 
 /// Sizes of the shared MLPs.
 pub(crate) const SIZES: [usize; 3] = [32, 32, 64];
-/// Numbers that describe the surroundings of a point.
-pub(crate) const CHANNELS: usize = SURROUNDINGS.len() * SIZES[2];
 
-/// For each of the [`SURROUNDINGS`] a shared MLP over the offsets of the scan's points around each point, then their
-/// maximum. The hierarchy sees a scan at a spacing of centimetres, which blurs the gap behind a handle; this does not.
+/// For each kind of neighbourhood a shared MLP over the scan's points in it, then their maximum. The hierarchy sees a scan
+/// at a spacing of centimetres, which blurs the gap behind a handle; this does not.
 #[derive(Module, Debug)]
 pub struct Surroundings {
-    /// First layers `[3, out]`: the offset.
+    /// One for each kind of neighbourhood; first layers `[3, out]`: where a point is in it.
     pub mlps: Vec<PointMlp>,
 }
 
 impl Surroundings {
-    pub(crate) fn new(device: &Device) -> Self {
-        Self { mlps: SURROUNDINGS.iter().map(|_| PointMlp::new(3, &SIZES, device)).collect() }
+    pub(crate) fn new(kinds: usize, device: &Device) -> Self {
+        Self { mlps: (0..kinds).map(|_| PointMlp::new(3, &SIZES, device)).collect() }
     }
 
-    /// Zeros where nobody looked: as far as the network can tell, such points are alone.
+    /// Numbers that describe one place.
+    pub(crate) fn channels(&self) -> usize {
+        self.mlps.len() * SIZES[2]
+    }
+
+    /// Zeros where nobody looked: as far as the network can tell, such places are alone.
     ///
     /// # Shapes
-    /// -> `[points, 128]`
-    pub(crate) fn forward(&self, around: &[Grouping], points: usize, device: &Device) -> Tensor<2> {
+    /// -> `[places, 64 * kinds]`
+    pub(crate) fn forward(&self, around: &[Grouping], places: usize, device: &Device) -> Tensor<2> {
         if around.is_empty() {
-            return Tensor::zeros([points, CHANNELS], device);
+            return Tensor::zeros([places, self.channels()], device);
         }
         let of_one = |(mlp, around): (&PointMlp, &Grouping)| {
             let n = around.offsets.len() / 3;

@@ -6,11 +6,12 @@ use rand::RngExt;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
 use where2act_core::{Observation, Pixel};
-use where2act_kernels::points::{furthest_point_sampling, three_nearest};
+use where2act_kernels::points::{Bounds, Frame, furthest_point_sampling, in_boxes, three_nearest};
 
 use super::PreprocessError;
 use crate::config::ModelConfig;
-use crate::pointnet::Hierarchy;
+use crate::heads::HAND_VIEWS;
+use crate::pointnet::{Grouping, Hierarchy};
 
 /// How metres become network units.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -155,6 +156,21 @@ impl CloudInput {
         hierarchy.with_surroundings(&inputs.iter().map(|input| input.dense.as_slice()).collect::<Vec<_>>())
     }
 
+    /// What hands would see of the scan at full density: for each of [`HAND_VIEWS`] and each hand the points around it,
+    /// in the hand's frame, metres. Hands keep their size whatever the scale; `frames` are in network units, as
+    /// [`crate::hand_frame`] makes them.
+    #[must_use]
+    pub fn hand_views(&self, frames: &[Frame]) -> Vec<Grouping> {
+        let of_view = |view: &crate::heads::HandView| {
+            let scaled = |corner: [f32; 3]| corner.map(|x| x * self.scale);
+            let bounds = Bounds { min: scaled(view.bounds.min), max: scaled(view.bounds.max) };
+            let mut offsets = in_boxes(&self.dense, frames, &bounds, view.points);
+            offsets.iter_mut().for_each(|x| *x /= self.scale);
+            Grouping { rows: Vec::new(), offsets, neighbours: view.points }
+        };
+        HAND_VIEWS.iter().map(of_view).collect()
+    }
+
     /// Coordinates of a batch, one cloud after the other: what [`crate::Hierarchy::new`] takes.
     #[must_use]
     pub fn concatenated(inputs: &[Self]) -> Vec<f32> {
@@ -192,7 +208,7 @@ fn robust_radius(mut distances: Vec<f32>) -> f32 {
 mod tests {
     use super::*;
     use crate::config::Modality;
-    use where2act_core::{Primitive, Seed};
+    use where2act_core::{Orientation6, Primitive, Seed};
 
     fn config(points: usize) -> ModelConfig {
         ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(points)
@@ -219,6 +235,44 @@ mod tests {
         for (i, xyz) in huge.source.iter().zip(huge.xyz.chunks_exact(3)) {
             let back = huge.metres_from_network(&Point3::new(xyz[0], xyz[1], xyz[2]));
             assert!((back - square(30.0, 60)[*i]).norm() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn a_hand_sees_the_same_wherever_it_is_and_however_the_scan_is_scaled() {
+        // A step of 2 cm across a wall: points before it stand out towards the hand.
+        let step = |x: f32| if x < 1.0 { 2.98 } else { 3.0 };
+        let wall: Vec<_> = square(0.6, 90).iter().map(|p| Point3::new(p.x, p.y, step(p.x))).collect();
+        let turn = nalgebra::Isometry3::new(
+            nalgebra::Vector3::new(0.2, -0.1, 0.7),
+            nalgebra::Vector3::new(0.3, 0.5, -0.2),
+        );
+        let turned: Vec<_> = wall.iter().map(|p| turn * p).collect();
+        let contact = Point3::new(1.02, 0.0, 3.0);
+        let (approach, forward) = (nalgebra::Vector3::z(), nalgebra::Vector3::x());
+        let seen = |points: &[Point3<f32>], scale, contact: Point3<f32>, orientation| {
+            let cloud =
+                CloudInput::new(points, CloudScale::PerMetre(scale), &config(500), &mut Seed(1).rng())
+                    .unwrap();
+            let frame = crate::hand_frame(cloud.network_from_metres(&contact).into(), &orientation);
+            let views = cloud.hand_views(&[frame]);
+            assert_eq!(views.len(), HAND_VIEWS.len());
+            for (view, of) in views.iter().zip(HAND_VIEWS) {
+                assert_eq!(view.offsets.len(), 3 * of.points);
+            }
+            views[0].offsets.as_chunks::<3>().0.to_vec()
+        };
+        let straight = seen(&wall, 1.0, contact, Orientation6::new(approach, forward));
+        assert!(straight.iter().any(|p| (p[2] + 0.02).abs() < 1e-4 && p[0] < -0.015));
+        assert!(straight.iter().all(|p| (p[2] < -0.01) == (p[0] < -0.019)), "{straight:?}");
+        let elsewhere = Orientation6::new(turn * approach, turn * forward);
+        for other in [
+            seen(&wall, 3.0, contact, Orientation6::new(approach, forward)),
+            seen(&turned, 1.0, turn * contact, elsewhere),
+        ] {
+            for (a, b) in straight.iter().zip(&other) {
+                assert!((0..3).all(|i| (a[i] - b[i]).abs() < 1e-4), "{a:?} {b:?}");
+            }
         }
     }
 

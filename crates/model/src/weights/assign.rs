@@ -29,6 +29,14 @@ impl Network {
         self.assign(tensors, |_| true)
     }
 
+    /// This network with the parameters of another one that may lack some of its blocks: theirs stay as they are.
+    ///
+    /// # Errors
+    /// As [`Self::with_tensors`], but for missing tensors.
+    pub fn with_tensors_of(self, other: &Self) -> Result<Self, WeightsError> {
+        self.assign(&other.tensors(), |_| false)
+    }
+
     /// This network with the parameters of `tensors`; those that are not `needed` may be missing and stay.
     pub(crate) fn assign(
         self,

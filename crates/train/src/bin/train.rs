@@ -147,7 +147,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
             out.display()
         )
     };
-    if args.episodes > 0 {
+    if args.episodes > 0 && config.schedule.joint_steps > 0 {
         judge(&config, &weights, args, &out, &stop)?;
     }
     println!("weights: {}", weights.display());
@@ -258,8 +258,10 @@ fn judge(
 }
 
 fn show(report: &StepReport) -> String {
-    let mut text = format!("loss {:.3}, score {:.3}", report.loss, report.score);
+    let mut text = format!("loss {:.3}", report.loss);
     for (name, value) in [
+        ("score", report.score),
+        ("second", report.second),
         ("angle", report.geodesic),
         ("kl", report.kl),
         ("actionability", report.actionability),

@@ -67,6 +67,15 @@ pub(crate) fn board(index: u64) -> SceneRecord {
 
 /// A data set of the boards of these numbers.
 pub(crate) fn write(folder: &Path, boards: Range<u64>) {
+    write_records(folder, boards, board);
+}
+
+/// The same boards, which nobody has pushed.
+pub(crate) fn write_without_trials(folder: &Path, boards: Range<u64>) {
+    write_records(folder, boards, |index| SceneRecord { trials: Vec::new(), ..board(index) });
+}
+
+fn write_records(folder: &Path, boards: Range<u64>, record: impl Fn(u64) -> SceneRecord) {
     let manifest = Manifest {
         format: FORMAT,
         version: "test".to_owned(),
@@ -77,7 +86,7 @@ pub(crate) fn write(folder: &Path, boards: Range<u64>) {
     };
     manifest.save(folder).unwrap();
     for (shard, first) in boards.clone().step_by(PER_SHARD as usize).enumerate() {
-        let records: Vec<_> = (first..(first + PER_SHARD).min(boards.end)).map(board).collect();
+        let records: Vec<_> = (first..(first + PER_SHARD).min(boards.end)).map(&record).collect();
         write_shard(&Manifest::shard_path(folder, shard as u64), &records).unwrap();
     }
 }

@@ -1,0 +1,130 @@
+//! The gradient of a whole training step against finite differences: every loss, through every part of the network.
+
+mod boards;
+
+use std::sync::Arc;
+
+use burn::module::{Module, ModuleVisitor, Param};
+use burn::optim::{GradientsParams, SgdConfig};
+use burn::tensor::{Device, Tensor};
+use where2act_core::{Primitive, Seed};
+use where2act_model::{Backbone, Modality, Network};
+use where2act_train::batch::{Batch, Source};
+use where2act_train::probes::Learner;
+use where2act_train::step::{Phase, forward};
+use where2act_train::{
+    BatchConfig, Dataset, LossConfig, NetworkConfig, Part, Replay, ScheduleConfig, TrainConfig,
+};
+
+fn config(modality: Modality) -> TrainConfig {
+    TrainConfig {
+        name: "gradients".to_owned(),
+        seed: 5,
+        from: None,
+        network: NetworkConfig {
+            modality,
+            primitives: vec![Primitive::Pulling, Primitive::Pushing],
+            width: 0.125,
+            hidden: 24,
+            latent: 4,
+            points: 256,
+            candidates: 1024,
+            surroundings: true,
+            alignments: 3,
+            second_look: true,
+        },
+        batch: BatchConfig {
+            views: 2,
+            trials_per_view: 40,
+            flipped: 0.2,
+            fixed: 0.2,
+            places_per_view: 12,
+            ..BatchConfig::default()
+        },
+        schedule: ScheduleConfig {
+            look_steps: 0,
+            score_steps: 0,
+            joint_steps: 1,
+            epoch_steps: 1,
+            rate: 1e-3,
+            weight_decay: 0.0,
+            decay: Default::default(),
+        },
+        loss: LossConfig { proposals: 8, best: 2, motion: 1.0, normal: 1.0, ..LossConfig::default() },
+        adaptive: Default::default(),
+        collect: Default::default(),
+    }
+}
+
+/// The sum of the squared gradients of some parameters.
+fn squared_norm(module: &impl Module, gradients: &GradientsParams) -> f64 {
+    struct Sum<'a>(&'a GradientsParams, f64);
+    impl ModuleVisitor for Sum<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            if let Some(gradient) = self.0.get::<D>(param.id) {
+                self.1 += f64::from(gradient.powi_scalar(2).sum().into_scalar::<f32>());
+            }
+        }
+    }
+    let mut sum = Sum(gradients, 0.0);
+    module.visit(&mut sum);
+    sum.1
+}
+
+/// Moves `part` of the learner along its gradient, forth and back, and compares how much the loss changes with what the
+/// gradient says.
+fn check<M: Module>(
+    name: &str,
+    learner: &Learner,
+    batch: &Batch,
+    loss: &LossConfig,
+    part: impl Fn(&Learner) -> &M,
+) {
+    // The same noise every time.
+    let total =
+        |learner: &Learner| forward(learner, batch, Phase::Joint, loss, &mut Seed(9).rng()).total(loss);
+    let of_part = || GradientsParams::from_grads(total(learner).backward(), part(learner));
+    let squared = squared_norm(part(learner), &of_part());
+    assert!(squared > 1e-8, "{name}: no gradient");
+    // The loss bends within some hundredths, and below a thousandth rounding shows. PointNet++ has a large gradient in many
+    // small weights, whose own rounding shows below a hundredth already.
+    let change = if name.ends_with("PointNet++") { 0.02 } else { 0.001 };
+    let rate = change / squared;
+    let moved = |by: f64| {
+        let moved = SgdConfig::new().init().step(by, learner.clone(), of_part());
+        f64::from(total(&moved).into_scalar::<f32>())
+    };
+    let (found, expected) = (moved(-rate) - moved(rate), 2.0 * rate * squared);
+    assert!((found - expected).abs() < 0.02 * expected, "{name}: {found}, expected {expected}");
+}
+
+#[test]
+fn the_gradient_of_a_step_is_how_its_loss_changes() {
+    let folder = tempfile::tempdir().unwrap();
+    boards::write(folder.path(), 0..16);
+    let dataset = Arc::new(Dataset::open(folder.path(), false).unwrap());
+    let scenes = dataset.scenes(Part::Train).unwrap();
+    for modality in [Modality::Cloud, Modality::Rgb] {
+        let config = config(modality);
+        let source =
+            Source::new(dataset.clone(), scenes.clone().into(), Arc::new(Replay::default()), &config);
+        let batch = source.batch(0).unwrap();
+        let network = Network::new(&config.model(), Seed(4), &Device::flex().autodiff());
+        let learner = Learner::new(network, &config.loss, Seed(4));
+        // The target of the actionability stands still in the gradient, and moves with all but its own head.
+        let still = LossConfig { actionability: 0.0, ..config.loss.clone() };
+        let name = |part: &str| format!("{modality:?}, {part}");
+        match &learner.network.backbone {
+            Backbone::UNet(_) => check(&name("U-Net"), &learner, &batch, &still, |l| &l.network.backbone),
+            Backbone::PointNet2(_) => {
+                check(&name("PointNet++"), &learner, &batch, &still, |l| &l.network.backbone);
+                check(&name("second look"), &learner, &batch, &still, |l| &l.network.heads.second_look);
+            }
+        }
+        check(&name("score"), &learner, &batch, &still, |l| &l.network.heads.score);
+        check(&name("proposal"), &learner, &batch, &still, |l| &l.network.heads.proposal);
+        check(&name("motion"), &learner, &batch, &still, |l| &l.motion);
+        check(&name("normal"), &learner, &batch, &still, |l| &l.normal);
+        check(&name("actionability"), &learner, &batch, &config.loss, |l| &l.network.heads.actionability);
+    }
+}
