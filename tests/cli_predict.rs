@@ -222,6 +222,8 @@ fn refusals_are_one_line_that_names_the_culprit() {
         (&["picture.png", "--fov", "190"], &["--fov", "190"]),
         (&["picture.png", "--intrinsics", "1,2,3"], &["--intrinsics", "four numbers", "3"]),
         (&["picture.png", "--jobs", "0"], &["--jobs", "at least 1"]),
+        (&["picture.png", "--precision", "bf16"], &["--precision", "expected f32", "found bf16", "AMX"]),
+        (&["scan.ply", "--engine", "burn", "--precision", "bf16"], &["--precision", "bf16", "AMX"]),
         (&["scan.ply", "--object-scale", "-1"], &["object-scale", "-1"]),
     ];
     for (args, expected) in cases {
@@ -233,5 +235,7 @@ fn refusals_are_one_line_that_names_the_culprit() {
         }
     }
     bench.predict(&["picture.png", "--primitive", "kicking"]).assert().failure().code(2);
+    bench.predict(&["picture.png", "--precision", "f64"]).assert().failure().code(2);
+    bench.predict(&["picture.png", "--precision", "f32", "--json"]).assert().success();
     bench.predict(&["--help"]).assert().success();
 }

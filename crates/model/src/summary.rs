@@ -45,6 +45,13 @@ impl Summary {
         self.blocks.iter().map(|b| b.parameters).sum()
     }
 
+    /// What all blocks have and the backbone takes, in a few words.
+    #[must_use]
+    pub fn total(&self) -> String {
+        let (parameters, gmac) = (self.parameters() as f64 / 1e6, self.backbone_multiply_adds() as f64 / 1e9);
+        format!("{parameters:.2} M parameters, backbone {gmac:.2} GMAC")
+    }
+
     /// Multiply-adds of the backbone for one picture or cloud.
     #[must_use]
     pub fn backbone_multiply_adds(&self) -> u64 {
@@ -58,8 +65,7 @@ impl fmt::Display for Summary {
         for b in &self.blocks {
             writeln!(f, "{:<28} {:>12} {:>10.1}", b.name, b.parameters, b.multiply_adds as f64 / 1e6)?;
         }
-        let gmac = self.backbone_multiply_adds() as f64 / 1e9;
-        write!(f, "total: {:.2} M parameters, backbone {gmac:.2} GMAC", self.parameters() as f64 / 1e6)
+        write!(f, "total: {}", self.total())
     }
 }
 

@@ -21,34 +21,41 @@ fn tensor<const D: usize>(io: &Tensors, name: &str, device: &Device) -> Tensor<D
     Tensor::from_data(TensorData::new(stored.values.clone(), stored.shape.clone()), device)
 }
 
-fn furthest<const D: usize>(a: Tensor<D>, b: Tensor<D>) -> f32 {
-    assert_eq!(a.dims(), b.dims());
-    (a - b).abs().max().into_scalar::<f32>()
+fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec::<f32>().unwrap()
 }
 
-fn agrees_on(device: &Device) {
+/// The largest difference; not a number if one of them is none.
+fn furthest(a: &[f32], b: &[f32]) -> f32 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).max_by(f32::total_cmp).unwrap()
+}
+
+/// What the published network says, under the fixture's names and as it lays them out.
+fn outputs(device: &Device) -> [(&'static str, Vec<f32>); 4] {
     let config = ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(2048);
     let network =
         Network::new(&config, Seed(1), device).with_published(&fixture("weights.safetensors")).unwrap();
     let io = Tensors::read(&fixture("io.safetensors")).unwrap();
-
     let features = network.features_cloud(tensor(&io, "points", device));
-    let expected = tensor::<3>(&io, "features", device).swap_dims(1, 2);
-    let error = furthest(features.clone(), expected);
-    assert!(error < TOLERANCE, "features: {error}");
-
     let of_first = features.clone().slice([0..2, 0..1]).reshape([2, 128]);
-    let logits = network.heads.score.forward(of_first.clone(), tensor(&io, "query_6d", device));
-    let error = furthest(logits, tensor(&io, "critic_logit", device));
-    assert!(error < TOLERANCE, "score: {error}");
+    let score = network.heads.score.forward(of_first.clone(), tensor(&io, "query_6d", device));
+    let raw = network.heads.proposal.decode(of_first, tensor(&io, "z", device));
+    let logits = network.heads.actionability.forward(features.clone().reshape([2 * 2048, 128]));
+    [
+        ("features", values(features.swap_dims(1, 2))),
+        ("critic_logit", values(score)),
+        ("proposal_raw", values(raw)),
+        ("actionability", values(sigmoid(logits))),
+    ]
+}
 
-    let raw = network.heads.proposal.decode(of_first, tensor(&io, "z", device)).reshape([2, 6]);
-    let error = furthest(raw, tensor(&io, "proposal_raw", device));
-    assert!(error < TOLERANCE, "proposal: {error}");
-
-    let logits = network.heads.actionability.forward(features.reshape([2 * 2048, 128]));
-    let error = furthest(sigmoid(logits).reshape([2, 2048]), tensor(&io, "actionability", device));
-    assert!(error < TOLERANCE, "actionability: {error}");
+fn agrees_on(device: &Device) {
+    let io = Tensors::read(&fixture("io.safetensors")).unwrap();
+    for (name, found) in outputs(device) {
+        let error = furthest(&found, &io.by_name[name].values);
+        assert!(error < TOLERANCE, "{name}: {error}");
+    }
 }
 
 #[test]
@@ -61,4 +68,15 @@ fn flex_agrees_with_pytorch() {
 #[expect(deprecated, reason = "selectable until burn drops it")]
 fn ndarray_agrees_with_pytorch() {
     agrees_on(&Device::ndarray());
+}
+
+#[test]
+#[cfg(feature = "ndarray")]
+#[expect(deprecated, reason = "selectable until burn drops it")]
+fn flex_and_ndarray_agree_with_each_other() {
+    let (flex, ndarray) = (outputs(&Device::flex()), outputs(&Device::ndarray()));
+    for ((name, flex), (_, ndarray)) in flex.into_iter().zip(ndarray) {
+        let error = furthest(&flex, &ndarray);
+        assert!(error < TOLERANCE, "{name}: {error}");
+    }
 }

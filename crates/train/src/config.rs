@@ -21,6 +21,10 @@ pub struct TrainConfig {
     /// Weights to start from instead of random ones: the folder of a network of the same shape, e.g. `weights/cloud`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<PathBuf>,
+    /// A ResNet-18 under torchvision's names, safetensors or PyTorch's own format, to start the encoder of a network for
+    /// pictures from instead of random weights; everything else starts at random. Of width 1, as ResNet-18 is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub encoder: Option<PathBuf>,
     /// The network.
     pub network: NetworkConfig,
     /// What one step sees.
@@ -379,6 +383,14 @@ impl TrainConfig {
         self.model().validate()?;
         let (batch, schedule) = (&self.batch, &self.schedule);
         check(!self.name.is_empty(), "name", format!("{:?}", self.name), "at least one letter")?;
+        if let Some(encoder) = &self.encoder {
+            let file = encoder.display().to_string();
+            check(self.from.is_none(), "encoder", file, "no file, as from names all weights")?;
+            let NetworkConfig { modality, width, .. } = self.network;
+            let of_pictures = modality == Modality::Rgb;
+            check(of_pictures, "network.modality", "cloud".to_owned(), "rgb, as encoder is a ResNet-18")?;
+            check(width == 1.0, "network.width", width.to_string(), "1, as encoder is a ResNet-18")?;
+        }
         check((1..=1024).contains(&batch.views), "batch.views", batch.views.to_string(), "1 to 1024")?;
         let trials = batch.trials_per_view;
         check((1..=100_000).contains(&trials), "batch.trials_per_view", trials.to_string(), "1 to 100000")?;

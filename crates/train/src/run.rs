@@ -16,7 +16,9 @@ use serde::Serialize;
 use where2act_core::shard::Manifest;
 use where2act_core::{Policy, Seed, Trial, write_whole};
 use where2act_model::preprocess::{CloudInput, CloudScale};
-use where2act_model::{Modality, ModelConfig, Network, Precision, Weights, WeightsError, save_weights};
+use where2act_model::{
+    Modality, ModelConfig, Network, Precision, Summary, Weights, WeightsError, save_weights,
+};
 
 use crate::adaptive;
 use crate::batch::{Batch, Source};
@@ -476,11 +478,16 @@ fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result
     Ok(checkpoint::fingerprint(&text, &manifest))
 }
 
-/// The weights to start from: random ones, or those that the configuration names.
+/// The weights to start from: those that the configuration names, or random ones, with the encoder that it names.
 fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> Result<Learner, TrainError> {
     let seed = config.root_seed().child("weights", 0);
     let Some(folder) = &config.from else {
-        return Ok(Learner::new(Network::new(model, seed, device), &config.loss, seed));
+        let random = Network::new(model, seed, device);
+        let network = match &config.encoder {
+            Some(file) => random.with_resnet18(file)?,
+            None => random,
+        };
+        return Ok(Learner::new(network, &config.loss, seed));
     };
     let network = Weights::load(folder, device)?.network;
     // What does not change the shape of any parameter may differ, and a second look may be added.
@@ -546,6 +553,7 @@ fn card(config: &TrainConfig, progress: &Progress, validation: &Validation) -> S
         config.seed,
         &progress.fingerprint[..16]
     );
+    text += &format!("Network: {} for each picture or scan.\n\n", Summary::new(&config.model()).total());
     text += "Validation (objects of the training categories that training has not seen, all policies):\n\n";
     text += "| primitive | trials | successes | average precision | F-score | best F-score |\n";
     text += "| --- | --- | --- | --- | --- | --- |\n";

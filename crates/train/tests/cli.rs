@@ -142,6 +142,15 @@ fn train_names_what_is_wrong_with_its_configuration() {
     refused(&bench.train("--config ."), &["."]);
     refused(&bench.train("--config run.toml --steps 0 --data data"), &["steps", "at least"]);
     refused(&bench.train("--config run.toml --jobs 0"), &["--jobs", "at least 1", "found 0"]);
+    // A ResNet-18 fits one kind of network.
+    let resnet = |args: &str| bench.train(&format!("{args} --encoder resnet18.pth"));
+    refused(&resnet("--config run.toml"), &["network.modality is cloud", "expected rgb", "encoder"]);
+    let pictures = CONFIG.replace("'cloud'", "'rgb'");
+    bench.write("narrow.toml", &pictures.replace("points = 256", "width = 0.5"));
+    refused(&resnet("--config narrow.toml"), &["network.width is 0.5", "expected 1", "encoder"]);
+    bench.write("both.toml", &format!("from = 'weights'\nencoder = 'resnet18.pth'\n{pictures}"));
+    refused(&bench.train("--config both.toml"), &["encoder is resnet18.pth", "expected no file", "from"]);
+    misused(&resnet("--from weights"), &["--encoder", "--from"]);
     misused(&bench.train("--modality sound"), &["--modality", "sound"]);
     misused(&bench.train("--device gpu"), &["--device", "gpu"]);
     misused(&bench.train("--confg run.toml"), &["--confg"]);
@@ -211,6 +220,8 @@ fn a_damaged_shard_is_named_and_skipped_only_when_told_to() {
     let said = worked(&train("--skip-damaged"));
     assert!(said.contains("skipped:") && said.contains("shard-00002"), "{said}");
     assert!(bench.path("run/weights/model.safetensors").is_file());
+    let card = fs::read_to_string(bench.path("run/weights/card.md")).unwrap();
+    assert!(card.contains("M parameters, backbone") && !said.contains("GMAC"), "{card} {said}");
     assert_eq!(fs::read(&shard).unwrap(), b"", "the shard is left as it is");
 }
 
@@ -284,7 +295,8 @@ fn a_run_is_only_resumed_as_what_it_was() {
     other("--config boards.toml --data data", &["step-00000006", "learner.bpk"]);
     fs::write(newest.join("learner.bpk"), &learner).unwrap();
     assert!(contents(&bench.path("run")) == before);
-    worked(&train("--config boards.toml --data data --resume"));
+    let said = worked(&bench.train("--out run --episodes 0 --config boards.toml --data data --resume"));
+    assert_eq!(said.matches("GMAC").count(), 1, "how large the network is, once: {said}");
 }
 
 #[test]

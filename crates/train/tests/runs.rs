@@ -7,9 +7,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use burn::tensor::Device;
-use where2act_core::Primitive;
 use where2act_core::shard::Manifest;
-use where2act_model::{Modality, Tensors, Weights};
+use where2act_core::{Primitive, Seed};
+use where2act_model::{Modality, Network, Precision, Tensors, Weights};
 use where2act_train::run::{Control, Outcome, TrainError, files, train};
 use where2act_train::{
     BatchConfig, CollectConfig, DataError, Dataset, LossConfig, NetworkConfig, ScheduleConfig, TrainConfig,
@@ -25,6 +25,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
         name: "test".to_owned(),
         seed: 3,
         from: None,
+        encoder: None,
         network: NetworkConfig {
             modality: Modality::Cloud,
             primitives: vec![Primitive::Pushing],
@@ -156,6 +157,45 @@ fn a_run_may_start_from_weights() {
     other.network.hidden = 48;
     let error = train_for(&other, &data, &folder.path().join("other"), 1).unwrap_err();
     assert!(matches!(&error, TrainError::OtherNetwork { path } if *path == weights), "{error}");
+}
+
+#[test]
+fn an_encoder_may_start_as_a_resnet18() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let data = data(&path("data"), 32);
+    let mut config = config(0, 1);
+    config.network.modality = Modality::Rgb;
+    config.batch.views = 2;
+    // A step too small to change a weight's last digit.
+    config.schedule.rate = 1e-12;
+    // Torchvision's names, another seed's numbers, and no more digits than the run's weights are saved with.
+    let mut resnet = Tensors::default();
+    for (name, tensor) in Network::new(&config.model(), Seed(9), &Device::flex()).tensors().by_name {
+        if let Some(name) = name.strip_prefix("backbone.encoder.") {
+            resnet.by_name.insert(name.to_owned(), tensor);
+        }
+    }
+    let file = path("resnet18.safetensors");
+    resnet.write(&file, Precision::F16).unwrap();
+    config.encoder = Some(file.clone());
+    let (outcome, _) = train_for(&config, &data, &path("run"), usize::MAX).unwrap();
+    let read = |path: &Path| Tensors::read(path).unwrap().by_name;
+    let (before, after) = (read(&file), read(&outcome.weights.unwrap().join("model.safetensors")));
+    // Statistics follow the data.
+    let own = |name: &str| !name.contains("running_");
+    let same = |name: &str| before.get(name) == after.get(&format!("backbone.encoder.{name}"));
+    let different: Vec<_> = before.keys().filter(|name| own(name) && !same(name)).collect();
+    assert!(different.is_empty(), "{different:?}");
+    let saved = TrainConfig::load(&path("run").join(files::CONFIG)).unwrap();
+    assert_eq!(saved, config, "a file says what it was");
+
+    // An eighth as wide, in PyTorch's own format.
+    let narrow = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/unet/resnet18.pth");
+    config.encoder = Some(narrow);
+    let error = train_for(&config, &data, &path("narrow"), 1).unwrap_err().to_string();
+    assert!(error.contains("resnet18.pth"), "{error}");
+    assert!(error.contains("conv1.weight has shape [8, 3, 7, 7], expected [64, 3, 7, 7]"), "{error}");
 }
 
 #[test]

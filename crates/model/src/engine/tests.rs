@@ -143,5 +143,6 @@ fn wrong_inputs_are_refused() {
     let odd = network(Modality::Rgb, |config| ModelConfig { features: 100, ..config.with_width(0.25) });
     assert!(Engine::compile(&odd).is_err());
     assert!(Engine::check_precision("f32").is_ok());
-    assert!(Engine::check_precision("bf16").is_err());
+    let error = Engine::check_precision("bf16").unwrap_err().to_string();
+    assert!(error.contains("expected f32, found bf16") && error.contains("AMX"), "{error}");
 }

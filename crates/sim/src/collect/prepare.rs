@@ -59,7 +59,13 @@ impl Preparer {
     }
 
     /// Makes scene `index`: draws objects and start poses until one settles and a camera sees its movable parts.
-    /// `None` if none of many attempts does.
+    /// `None` if none of many attempts does. All attempts with a folder stay with the object whose turn it is, see
+    /// [`ObjectSet::turn`](super::ObjectSet::turn).
+    ///
+    /// Real objects can fail them all, as they do in the published procedure, which drops such scenes too: flaps of a
+    /// carton that share a corner press on each other, flaps of paper swing for longer than settling may take, and
+    /// wheels with a centre 2 mm off their axle creep (PartNet-Mobility's `Box/100154`, `Box/100162`,
+    /// `TrashCan/11361`).
     ///
     /// # Errors
     /// If an object cannot be loaded.

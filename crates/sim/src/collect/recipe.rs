@@ -72,7 +72,7 @@ pub enum ObjectSet {
         /// Seeds of the objects of every category: disjoint ranges are disjoint objects.
         seeds: Range<u64>,
     },
-    /// Folders of a PartNet-Mobility-like data set.
+    /// Folders of a PartNet-Mobility-like data set; scenes take turns over the objects.
     Folder {
         /// The folder that holds `<Category>/<id>/mobility.urdf`.
         root: PathBuf,
@@ -126,14 +126,28 @@ impl ObjectSet {
         Ok(Self::Folder { root: root.to_owned(), names })
     }
 
-    /// Name of a random object for a scene.
-    pub(super) fn draw(&self, index: u64, rng: &mut impl Rng) -> Option<String> {
+    /// Whose turn it is in scene `index`: a category of generated objects, or one object of the folder.
+    #[must_use]
+    pub fn turn(&self, index: u64) -> Option<String> {
+        let of = |count: usize| (index % count.max(1) as u64) as usize;
         match self {
-            Self::Procedural { categories, seeds } => {
-                let category = categories.get((index % categories.len().max(1) as u64) as usize)?;
-                (!seeds.is_empty()).then(|| format!("{category}:{}", rng.random_range(seeds.clone())))
+            Self::Procedural { categories, .. } => {
+                categories.get(of(categories.len())).map(ToString::to_string)
             }
-            Self::Folder { names, .. } => names.get(rng.random_range(0..names.len().max(1))).cloned(),
+            Self::Folder { names, .. } => names.get(of(names.len())).cloned(),
+        }
+    }
+
+    /// Name of an object for a scene: a random one of the category whose turn it is, or the object itself. An object
+    /// of a folder keeps its scene however often it is drawn: one that seldom comes to rest is not passed over for
+    /// one that always does.
+    pub(super) fn draw(&self, index: u64, rng: &mut impl Rng) -> Option<String> {
+        let turn = self.turn(index)?;
+        match self {
+            Self::Procedural { seeds, .. } => {
+                (!seeds.is_empty()).then(|| format!("{turn}:{}", rng.random_range(seeds.clone())))
+            }
+            Self::Folder { .. } => Some(turn),
         }
     }
 
@@ -150,4 +164,37 @@ impl ObjectSet {
 #[must_use]
 pub fn categories_of(split: Split) -> Vec<Category> {
     Category::ALL.into_iter().filter(|c| c.split() == split).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn objects_of_a_folder_take_turns_and_keep_their_scenes() {
+        let names = ["Box/1", "Box/2", "Door/1"].map(String::from).to_vec();
+        let set = ObjectSet::Folder { root: PathBuf::new(), names: names.clone() };
+        for index in 0..9 {
+            for seed in 0..20 {
+                let drawn = set.draw(index, &mut Seed(seed).rng());
+                assert_eq!(drawn.as_ref(), names.get(index as usize % 3), "scene {index}");
+            }
+        }
+        let none = ObjectSet::Folder { root: PathBuf::new(), names: Vec::new() };
+        assert_eq!(none.draw(3, &mut Seed(0).rng()), None);
+    }
+
+    #[test]
+    fn categories_take_turns_with_random_objects() {
+        let categories = vec![Category::Faucet, Category::Door];
+        let set = ObjectSet::Procedural { categories, seeds: 5..8 };
+        for (index, category) in [(0, "Faucet"), (1, "Door"), (2, "Faucet")] {
+            let mut names: Vec<_> =
+                (0..50).filter_map(|seed| set.draw(index, &mut Seed(seed).rng())).collect();
+            names.sort();
+            names.dedup();
+            assert_eq!(names, [5, 6, 7].map(|seed| format!("{category}:{seed}")));
+            assert_eq!(set.turn(index).as_deref(), Some(category));
+        }
+    }
 }

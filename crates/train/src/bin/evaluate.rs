@@ -16,7 +16,8 @@ use shared::Work;
 #[global_allocator]
 static ALLOCATOR: where2act_kernels::KeepLarge = where2act_kernels::KeepLarge::new();
 
-/// Judge weights: F-score on random trials, success rate of executed proposals, baselines.
+/// Judge weights: F-score on random trials, success rate of executed proposals, baselines. Ctrl-C ends it with the
+/// report of the scenes judged by then.
 #[derive(Parser)]
 #[command(
     version,
@@ -29,7 +30,7 @@ struct Args {
     /// Weights folder.
     #[arg(long)]
     weights: PathBuf,
-    /// `procedural`, or a folder of objects (`<Category>/<id>/mobility.urdf`).
+    /// `procedural`, or a folder of objects (`<Category>/<id>/mobility.urdf`), which take turns.
     #[arg(long, default_value = "procedural")]
     objects: String,
     /// Which generated objects: shapes that training has not seen, or categories it has not seen.
@@ -41,7 +42,7 @@ struct Args {
     /// Scenes.
     #[arg(long, default_value_t = 100)]
     episodes: u64,
-    /// Proposals executed for each scene and primitive.
+    /// Proposals executed for each scene and primitive: the best ones, and as many drawn from all.
     #[arg(long, default_value_t = 5)]
     proposals: usize,
     /// Random trials for each scene and primitive.

@@ -14,7 +14,7 @@ use clap::builder::PossibleValuesParser;
 use indicatif::ProgressBar;
 use where2act_core::shard::Manifest;
 use where2act_core::{Policy, Seed, program};
-use where2act_model::Modality;
+use where2act_model::{Modality, Summary};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::evaluate::EvaluateConfig;
 use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
@@ -35,7 +35,8 @@ static ALLOCATOR: where2act_kernels::KeepLarge = where2act_kernels::KeepLarge::n
   train --config configs/standard.toml --data data/cloud --out runs/cloud
   train --config configs/standard.toml --data data/cloud --out runs/cloud --resume
   train --data data/cloud --modality rgb --steps 2000
-  train --config configs/standard.toml --from weights/cloud --data data/mine --out runs/mine"
+  train --config configs/standard.toml --from weights/cloud --data data/mine --out runs/mine
+  train --modality rgb --encoder resnet18.pth --data data/rgb --out runs/rgb"
 )]
 struct Args {
     /// TOML file that describes the run.
@@ -59,6 +60,9 @@ struct Args {
     /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own.
     #[arg(long)]
     from: Option<PathBuf>,
+    /// ResNet-18 under torchvision's names (.pth or .safetensors) to start the encoder from: pictures, width 1.
+    #[arg(long, value_name = "FILE", conflicts_with = "from")]
+    encoder: Option<PathBuf>,
     /// Other numbers of steps than the configuration's: all of them, a quarter for the score alone.
     #[arg(long)]
     steps: Option<usize>,
@@ -111,6 +115,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let dataset = Arc::new(Dataset::open(&data, args.skip_damaged)?);
     for damage in &dataset.skipped {
         eprintln!("skipped: {damage}");
+    }
+    if !args.work.quiet {
+        eprintln!("{}", Summary::new(&config.model()));
     }
     let device = device(&args.device);
     let bar = args.work.bar(config.steps() as u64, "training");
@@ -169,6 +176,9 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
     }
     if let Some(from) = &args.from {
         config.from = Some(from.clone());
+    }
+    if let Some(encoder) = &args.encoder {
+        config.encoder = Some(encoder.clone());
     }
     if let Some(steps) = args.steps {
         config.schedule.score_steps = steps / 4;

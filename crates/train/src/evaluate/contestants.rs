@@ -1,6 +1,7 @@
 //! Who tries: the network, and the baselines it is compared with.
 
 use nalgebra::Vector3;
+use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use where2act_core::{Policy, Primitive, Proposal, Seed, Trial};
@@ -17,6 +18,8 @@ pub enum Contestant {
     TopOne,
     /// The network's best few proposals, each at a pixel of its own.
     TopK,
+    /// Some of all the network's proposals, drawn at random: what to expect of one that is not the best.
+    Sampled,
     /// Uniform pixel of the movable parts, uniform orientation in the hemisphere against the normal.
     Random,
     /// Uniform pixel of the movable parts, approach against the normal, any turn around it.
@@ -27,8 +30,8 @@ pub enum Contestant {
 
 impl Contestant {
     /// All of them, as tables list them.
-    pub const ALL: [Contestant; 5] =
-        [Self::TopOne, Self::TopK, Self::Random, Self::AlongNormal, Self::Informed];
+    pub const ALL: [Contestant; 6] =
+        [Self::TopOne, Self::TopK, Self::Sampled, Self::Random, Self::AlongNormal, Self::Informed];
 
     /// Name in tables.
     #[must_use]
@@ -36,6 +39,7 @@ impl Contestant {
         match self {
             Self::TopOne => "top-1",
             Self::TopK => "top-k",
+            Self::Sampled => "sampled",
             Self::Random => "random",
             Self::AlongNormal => "along normal",
             Self::Informed => "knows the joint",
@@ -68,6 +72,17 @@ pub(crate) fn proposals(
     let candidate = |p: &Proposal| sampler.at(p.pixel, in_world(p.approach), in_world(p.forward));
     let of_primitives = prediction.primitives.iter();
     Ok(of_primitives.map(|of| of.proposals.iter().filter_map(candidate).collect()).collect())
+}
+
+/// Some of these candidates at random, none of them twice.
+pub(super) fn draw(all: &[Candidate], count: usize, seed: Seed) -> Vec<&Candidate> {
+    let mut left: Vec<&Candidate> = all.iter().collect();
+    let mut rng = seed.rng();
+    let mut drawn = Vec::new();
+    while drawn.len() < count && !left.is_empty() {
+        drawn.push(left.swap_remove(rng.random_range(0..left.len())));
+    }
+    drawn
 }
 
 pub(super) fn random(

@@ -1,22 +1,23 @@
 //! Judging weights in simulation: proposals are executed and counted, beside baselines.
 //!
 //! For every scene and primitive the network's proposals are predicted from the view, at pixels of movable parts only
-//! (as published), and executed. Beside it: random pixels and orientations; random pixels with the approach along the
-//! normal; and trials that know the joint. A primitive that no trial with that knowledge manages in a scene is not
-//! counted there, whoever tries it.
+//! (as published), and executed: the best ones, and some of all of them. Beside it: random pixels and orientations;
+//! random pixels with the approach along the normal; and trials that know the joint. A primitive that no trial with
+//! that knowledge manages in a scene is not counted there, whoever tries it.
 
 mod contestants;
 mod report;
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use where2act_core::{Category, Policy, Primitive, Seed, Trial};
-use where2act_infer::Predictor;
+use where2act_infer::{Options, Predictor};
 use where2act_model::Network;
 use where2act_sim::collect::{CollectError, ObjectSet, Preparer, Recipe, ScenePrep};
-use where2act_sim::sampling::Sampler;
+use where2act_sim::sampling::{Candidate, Sampler};
 
 pub use contestants::Contestant;
 pub(crate) use contestants::proposals;
@@ -33,7 +34,8 @@ pub struct EvaluateConfig {
     pub scenes: u64,
     /// Root of all randomness.
     pub seed: Seed,
-    /// Proposals that are executed for each scene and primitive: the best one is top-1, their mean is top-k.
+    /// Proposals that are executed for each scene and primitive: the best one is top-1, the mean of this many best
+    /// ones is top-k, that of as many drawn from all is sampled.
     pub proposals: usize,
     /// Random trials for each scene and primitive: a baseline, and what the score is judged on.
     pub random: usize,
@@ -84,9 +86,9 @@ pub enum EvaluateError {
         /// Why.
         source: where2act_model::preprocess::PreprocessError,
     },
-    /// Someone asked to stop.
-    #[error("interrupted after {0} scenes; nothing was written")]
-    Interrupted(u64),
+    /// Someone asked to stop before there was anything to report.
+    #[error("interrupted before the first scene was judged; nothing was written")]
+    Interrupted,
 }
 
 /// What happened in one scene.
@@ -111,8 +113,19 @@ pub struct PrimitiveResult {
     pub scored: Vec<(f32, bool)>,
 }
 
-/// Judges weights on all scenes of a configuration. `predictor` proposes and `network`, the same weights, scores the
-/// random trials. `progress` is called with the number of scenes done.
+/// What came of the number of a scene.
+enum Outcome {
+    /// The scene was judged.
+    Judged(SceneResult),
+    /// No scene could be made of this object, or of objects of this category.
+    NoScene(String),
+    /// Someone asked to stop before.
+    Stopped,
+}
+
+/// Judges weights on the scenes of a configuration, several at a time. `predictor` proposes and `network`, the same
+/// weights, scores the random trials. `progress` is called with the number of scenes done. After `stop` the report
+/// is one of the scenes that were done by then.
 ///
 /// # Errors
 /// Any [`EvaluateError`].
@@ -124,70 +137,114 @@ pub fn evaluate(
     progress: &(dyn Fn(u64) + Sync),
 ) -> Result<Report, EvaluateError> {
     let preparer = Preparer::new(config.recipe());
-    let mut scenes = Vec::new();
-    for index in 0..config.scenes {
-        if stop.load(Ordering::Relaxed) {
-            return Err(EvaluateError::Interrupted(index));
+    let judge = Judge { predictor, network, config, stop };
+    let done = AtomicU64::new(0);
+    let one = |index: u64| -> Result<Outcome, EvaluateError> {
+        if judge.stopped() {
+            return Ok(Outcome::Stopped);
         }
-        if let Some(prep) = preparer.prepare(index)? {
-            scenes.push(judge_scene(predictor, network, config, index, &prep)?);
+        let outcome = match preparer.prepare(index)? {
+            Some(prep) => judge.scene(index, &prep)?,
+            None => Outcome::NoScene(config.objects.turn(index).unwrap_or_default()),
+        };
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+        Ok(outcome)
+    };
+    let outcomes: Vec<Outcome> =
+        (0..config.scenes).into_par_iter().map(one).collect::<Result<_, EvaluateError>>()?;
+    let (mut scenes, mut without_scene) = (Vec::new(), BTreeMap::new());
+    for outcome in outcomes {
+        match outcome {
+            Outcome::Judged(scene) => scenes.push(scene),
+            Outcome::NoScene(name) => *without_scene.entry(name).or_insert(0) += 1,
+            Outcome::Stopped => {}
         }
-        progress(index + 1);
     }
-    Ok(Report::new(predictor, config, &scenes))
+    if scenes.is_empty() && judge.stopped() {
+        return Err(EvaluateError::Interrupted);
+    }
+    Ok(Report::new(predictor, config, &scenes, without_scene))
 }
 
-fn judge_scene(
-    predictor: &Predictor,
-    network: &Network,
-    config: &EvaluateConfig,
-    index: u64,
-    prep: &ScenePrep,
-) -> Result<SceneResult, EvaluateError> {
-    let seed = prep.info.seed.child("evaluate", 0);
-    let primitives = &predictor.config().primitives;
-    let mut results: Vec<PrimitiveResult> = vec![PrimitiveResult::default(); primitives.len()];
-    let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else {
-        return Ok(SceneResult {
-            category: prep.info.category,
-            object: prep.info.object.clone(),
-            primitives: results,
-        });
-    };
-    let proposals = proposals(predictor, prep, &sampler, config.proposals, seed)
-        .map_err(|source| EvaluateError::Predict { scene: index, source })?;
-    let mut random_trials: Vec<Trial> = Vec::new();
-    for (p, &primitive) in primitives.iter().enumerate() {
-        let seed = seed.child("primitive", primitive as u64);
-        let informed = contestants::informed(prep, &sampler, primitive, config.informed, seed);
-        let result = &mut results[p];
+/// What every scene is judged with.
+struct Judge<'a> {
+    predictor: &'a Predictor,
+    network: &'a Network,
+    config: &'a EvaluateConfig,
+    stop: &'a AtomicBool,
+}
+
+impl Judge<'_> {
+    fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    fn scene(&self, index: u64, prep: &ScenePrep) -> Result<Outcome, EvaluateError> {
+        let Self { predictor, network, config, .. } = *self;
+        let seed = prep.info.seed.child("evaluate", 0);
+        let primitives = &predictor.config().primitives;
+        let mut results: Vec<PrimitiveResult> = vec![PrimitiveResult::default(); primitives.len()];
+        let judged = |primitives| {
+            let (category, object) = (prep.info.category, prep.info.object.clone());
+            Outcome::Judged(SceneResult { category, object, primitives })
+        };
+        let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(judged(results)) };
+        // All there are, one at each candidate, to draw from.
+        let count = config.proposals.max(Options::default().candidates);
+        let proposals = proposals(predictor, prep, &sampler, count, seed)
+            .map_err(|source| EvaluateError::Predict { scene: index, source })?;
+        let mut random_trials: Vec<Trial> = Vec::new();
+        for ((&primitive, own), result) in primitives.iter().zip(&proposals).zip(&mut results) {
+            if self.stopped() {
+                return Ok(Outcome::Stopped);
+            }
+            let trials = self.primitive(prep, &sampler, primitive, own, result);
+            random_trials.extend(trials);
+        }
+        let record = prep.record(random_trials);
+        let scored = score_record(network, &record, &mut seed.child("score", 0).rng())
+            .map_err(|source| EvaluateError::View { scene: index, source })?;
+        for (trial, score) in scored {
+            if let Some(p) = predictor.config().output_of(trial.primitive) {
+                results[p].scored.push((score, trial.verdict.success));
+            }
+        }
+        Ok(judged(results))
+    }
+
+    /// Lets every contestant try a primitive; `own` are the network's proposals, best first. Returns the random trials.
+    fn primitive(
+        &self,
+        prep: &ScenePrep,
+        sampler: &Sampler<'_>,
+        primitive: Primitive,
+        own: &[Candidate],
+        result: &mut PrimitiveResult,
+    ) -> Vec<Trial> {
+        let config = self.config;
+        let seed = prep.info.seed.child("evaluate", 0).child("primitive", primitive as u64);
+        let informed = contestants::informed(prep, sampler, primitive, config.informed, seed);
         result.possible = informed.contains(&true);
         // The first few only: trying until success would make the rate look worse than it is.
         let informed: Vec<bool> = informed.into_iter().take(config.proposals).collect();
-        let best: Vec<bool> = proposals[p]
-            .par_iter()
-            .map(|candidate| contestants::run(prep, primitive, Policy::Adaptive, candidate).verdict.success)
-            .collect();
-        let random = contestants::random(prep, &sampler, primitive, config.random, seed);
-        let along = contestants::along_normal(prep, &sampler, primitive, config.random, seed);
+        let succeeds = |candidate: &Candidate| {
+            contestants::run(prep, primitive, Policy::Adaptive, candidate).verdict.success
+        };
+        let best: Vec<bool> = own.par_iter().take(config.proposals).map(succeeds).collect();
+        let drawn = contestants::draw(own, config.proposals, seed.child("sampled", 0));
+        let sampled: Vec<bool> = drawn.into_par_iter().map(succeeds).collect();
+        let random = contestants::random(prep, sampler, primitive, config.random, seed);
+        let along = contestants::along_normal(prep, sampler, primitive, config.random, seed);
         result.trials = vec![
             (Contestant::TopOne, best.first().copied().into_iter().collect()),
             (Contestant::TopK, best),
+            (Contestant::Sampled, sampled),
             (Contestant::Random, random.iter().map(|t| t.verdict.success).collect()),
             (Contestant::AlongNormal, along),
             (Contestant::Informed, informed),
         ];
-        random_trials.extend(random);
+        random
     }
-    let record = prep.record(random_trials);
-    let scored = score_record(network, &record, &mut seed.child("score", 0).rng())
-        .map_err(|source| EvaluateError::View { scene: index, source })?;
-    for (trial, score) in scored {
-        if let Some(p) = predictor.config().output_of(trial.primitive) {
-            results[p].scored.push((score, trial.verdict.success));
-        }
-    }
-    Ok(SceneResult { category: prep.info.category, object: prep.info.object.clone(), primitives: results })
 }
 
 /// The primitives of a report, as its rows name them.

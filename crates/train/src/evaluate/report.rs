@@ -20,6 +20,11 @@ pub struct Report {
     pub config: EvaluateConfig,
     /// How pixels and proposals were picked, in words.
     pub rule: String,
+    /// Objects of a folder, or categories of generated objects, and how many scenes could not be made of each: in no
+    /// start pose did they come to rest with all parts free of each other before a camera that saw a movable one.
+    pub without_scene: BTreeMap<String, u64>,
+    /// Scenes that were left because someone asked to stop.
+    pub unfinished: u64,
     /// Over all scenes.
     pub total: Judgement,
     /// By category, for objects that have one.
@@ -55,7 +60,12 @@ pub struct Row {
 }
 
 impl Report {
-    pub(super) fn new(predictor: &Predictor, config: &EvaluateConfig, scenes: &[SceneResult]) -> Self {
+    pub(super) fn new(
+        predictor: &Predictor,
+        config: &EvaluateConfig,
+        scenes: &[SceneResult],
+        without_scene: BTreeMap<String, u64>,
+    ) -> Self {
         let primitives = names(&predictor.config().primitives);
         let judge = |wanted: &dyn Fn(&SceneResult) -> bool| {
             let mine: Vec<_> = scenes.iter().filter(|scene| wanted(scene)).collect();
@@ -67,17 +77,22 @@ impl Report {
             keys.dedup();
             keys.into_iter().map(|k| (k.clone(), judge(&|scene| key(scene).as_ref() == Some(&k)))).collect()
         };
+        let done = scenes.len() as u64 + without_scene.values().sum::<u64>();
         Self {
             model: predictor.model().name.clone(),
             sha256: predictor.model().sha256.clone(),
             config: config.clone(),
             rule: format!(
                 "Candidates are the 32 most actionable pixels of movable parts that keep a distance; 100 proposals at \
-                 each; the best-scored one per pixel. Top-1 is the best of them, top-k the best {} (one per pixel). \
-                 Executed in the fast mode of the simulator. Scenes in which {} trials that know the joint do not \
-                 succeed with a primitive do not count for it.",
+                 each, the best four of which are scored once more if the network takes a second look; the best-scored one \
+                 per pixel. Top-1 is the best of them, top-k the best {0} (one per pixel), \
+                 sampled {0} drawn at random from all of them, whatever their score. Executed in the fast mode of the \
+                 simulator. Scenes in which {1} trials that know the joint do not succeed with a primitive do not \
+                 count for it.",
                 config.proposals, config.informed
             ),
+            without_scene,
+            unfinished: config.scenes.saturating_sub(done),
             total: judge(&|_| true),
             categories: named(&|scene| scene.category.map(|c| c.to_string())),
             objects: named(&|scene| Some(scene.object.clone())),
@@ -88,18 +103,20 @@ impl Report {
     #[must_use]
     pub fn to_markdown(&self) -> String {
         let mut text = format!(
-            "Weights `{}` ({}), {} scenes, seed {}.\n\nSuccess rate of executed proposals, 95 % intervals. {}\n\n",
+            "Weights `{}` ({}), {} scenes, seed {}.\n\n{}Success rate of executed proposals, 95 % intervals. \
+             {}\n\n",
             self.model,
             self.sha256.get(..12).unwrap_or(&self.sha256),
             self.total.scenes,
             self.config.seed.0,
+            self.left_out(),
             self.rule
         );
         text += "| primitive | scenes |";
         for contestant in Contestant::ALL {
             let _ = write!(text, " {} |", contestant.name());
         }
-        text += "\n| --- | --- | --- | --- | --- | --- | --- |\n";
+        text += &separator(2 + Contestant::ALL.len());
         for row in &self.total.rows {
             let _ = write!(text, "| {} | {} |", row.primitive, row.possible_scenes);
             for (_, rate) in &row.rates {
@@ -117,13 +134,12 @@ impl Report {
                 s.trials, s.successes, s.f_score, s.precision, s.recall, s.average_precision
             );
         }
+        text += &self.reliability_table();
         text += "\nTop-1 by category:\n\n| category | scenes |";
         for row in &self.total.rows {
             let _ = write!(text, " {} |", row.primitive);
         }
-        text += "\n| --- | --- |";
-        text += &" --- |".repeat(self.total.rows.len());
-        text += "\n";
+        text += &separator(2 + self.total.rows.len());
         for (category, judgement) in &self.categories {
             let _ = write!(text, "| {category} | {} |", judgement.scenes);
             for row in &judgement.rows {
@@ -136,6 +152,58 @@ impl Report {
         }
         text
     }
+
+    /// Scenes that are missing from the report, a paragraph for each reason.
+    fn left_out(&self) -> String {
+        let mut text = String::new();
+        if self.unfinished > 0 {
+            let Self { unfinished, config, .. } = self;
+            let _ = writeln!(text, "Interrupted: {unfinished} of {} scenes are missing.\n", config.scenes);
+        }
+        if !self.without_scene.is_empty() {
+            let named: Vec<_> =
+                self.without_scene.iter().map(|(name, scenes)| format!("{name} ({scenes})")).collect();
+            let _ = writeln!(
+                text,
+                "Scenes that could not be made, because the object never came to rest with its parts free of each \
+                 other, or no camera saw a movable one: {}.\n",
+                named.join(", ")
+            );
+        }
+        text
+    }
+
+    /// How often trials of a score succeed.
+    fn reliability_table(&self) -> String {
+        let mut text =
+            "\nThe same trials by score: mean score, share of successes (successes/trials):\n\n".to_owned();
+        text += "| score |";
+        for row in &self.total.rows {
+            let _ = write!(text, " {} |", row.primitive);
+        }
+        text += &separator(1 + self.total.rows.len());
+        let tenths = self.total.rows.first().map_or(0, |row| row.reliability.len());
+        for tenth in 0..tenths {
+            let from = tenth as f64 / tenths as f64;
+            let _ = write!(text, "| {from:.1}-{:.1} |", from + 1.0 / tenths as f64);
+            for Reliability { mean_score, outcome, .. } in
+                self.total.rows.iter().filter_map(|row| row.reliability.get(tenth))
+            {
+                let Rate { successes, tries, rate, .. } = outcome;
+                let _ = match tries {
+                    0 => write!(text, " - |"),
+                    _ => write!(text, " {mean_score:.2}, {:.0} % ({successes}/{tries}) |", 100.0 * rate),
+                };
+            }
+            text += "\n";
+        }
+        text
+    }
+}
+
+/// The end of a table's head and the line below it.
+fn separator(columns: usize) -> String {
+    format!("\n|{}\n", " --- |".repeat(columns))
 }
 
 impl Judgement {

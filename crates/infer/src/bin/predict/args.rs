@@ -6,6 +6,7 @@ use anyhow::{Result, bail};
 use clap::{Parser, ValueEnum};
 use where2act_core::{Intrinsics, Pixel, Primitive, Seed};
 use where2act_infer::{Backend, Options};
+use where2act_model::Engine;
 
 use crate::inputs::Input;
 
@@ -97,6 +98,9 @@ pub(crate) struct Args {
     /// Backend of burn; implies --engine burn. ndarray needs a build with `--features ndarray`.
     #[arg(long, value_enum)]
     device: Option<DeviceArg>,
+    /// What the network is computed in. bf16 is refused: it would pay only with kernels for AMX tiles.
+    #[arg(long, default_value = "f32", value_parser = ["f32", "bf16"])]
+    precision: String,
     /// Root of all randomness.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -147,6 +151,7 @@ impl Args {
         if self.jobs == Some(0) {
             bail!("--jobs: expected at least 1, found 0");
         }
+        Engine::check_precision(&self.precision).map_err(|e| anyhow::anyhow!("--{e}"))?;
         self.options().validate().map_err(|e| anyhow::anyhow!("--{e}"))
     }
 

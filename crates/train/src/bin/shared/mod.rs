@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use burn::tensor::Device;
 use indicatif::{ProgressBar, ProgressStyle};
 use where2act_core::{program, write_whole};
@@ -22,7 +22,7 @@ pub(crate) struct Work {
     jobs: Option<usize>,
     /// No progress on the terminal.
     #[arg(long)]
-    quiet: bool,
+    pub(crate) quiet: bool,
 }
 
 impl Work {
@@ -46,7 +46,8 @@ impl Work {
         bar
     }
 
-    /// Judges weights, and writes and prints the report: JSON at `out`, a Markdown table of the same name beside it.
+    /// Judges weights, and writes and prints the report: JSON at `out`, a Markdown table of the same name beside it. A
+    /// report of fewer scenes than wanted, because someone asked to stop, is written too, but is an error.
     pub(crate) fn judge(
         &self,
         weights: &Path,
@@ -70,6 +71,10 @@ impl Work {
         write_whole(&markdown, |w| w.write_all(table.as_bytes()))
             .with_context(|| markdown.display().to_string())?;
         println!("{table}");
+        if report.unfinished > 0 {
+            let done = config.scenes - report.unfinished;
+            bail!("interrupted after {done} of {} scenes; {} is about these", config.scenes, out.display());
+        }
         Ok(())
     }
 }
