@@ -461,6 +461,17 @@ mod tests {
     }
 
     #[test]
+    fn the_configurations_of_the_repository_are_valid() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs");
+        let mut names = Vec::new();
+        for entry in std::fs::read_dir(folder).unwrap() {
+            names.push(TrainConfig::load(&entry.unwrap().path()).unwrap().name);
+        }
+        names.sort();
+        assert_eq!(names, ["looks", "paper-pushing", "quick-cloud", "where2act-cloud", "where2act-rgb"]);
+    }
+
+    #[test]
     fn a_wrong_value_or_an_unknown_field_is_named() {
         for (extra, named) in [
             ("[batch]\nviews = 0\n", "batch.views"),
