@@ -228,11 +228,12 @@ impl Predictor {
         if let (Some(look), NetworkInput::Cloud(cloud)) = (&self.heads.second_look, &prepared.input) {
             let each =
                 options.per_pixel.unwrap_or(if options.pixel.is_some() { options.samples } else { LOOKS });
+            let each = each.max(LOOKS);
             let promising = Options {
-                top_k: each.max(LOOKS) * candidates.len(),
-                per_pixel: Some(each.max(LOOKS)),
+                top_k: each * candidates.len(),
+                per_pixel: Some(each),
                 min_score: f32::NEG_INFINITY,
-                ..options.clone()
+                ..Options::default()
             };
             scored = look.score(features, cloud, &candidates, select(&scored, &promising), output)?;
         }
