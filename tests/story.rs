@@ -70,6 +70,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
         name: "story".to_owned(),
         seed: 5,
         from: None,
+        replay: None,
         encoder: None,
         network: NetworkConfig {
             modality,

@@ -3,10 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use burn::module::Module;
+use burn::module::{Module, ModuleVisitor, Param};
 use burn::optim::ModuleOptimizer;
 use burn::store::ModuleRecord;
-use burn::tensor::Bytes;
+use burn::tensor::{Bytes, Tensor};
 use serde::{Deserialize, Serialize};
 use where2act_core::sha256_hex;
 
@@ -108,6 +108,21 @@ pub fn save(folder: &Path, state: &State) -> Result<PathBuf, CheckpointError> {
     Ok(path)
 }
 
+/// Whether every weight is a number: what is saved must be worth going on from.
+#[must_use]
+pub fn is_finite(learner: &Learner) -> bool {
+    struct Finite(bool);
+    impl ModuleVisitor for Finite {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let data = param.val().into_data().convert::<f32>();
+            self.0 &= data.as_slice::<f32>().is_ok_and(|values| values.iter().all(|x| x.is_finite()));
+        }
+    }
+    let mut finite = Finite(true);
+    learner.visit(&mut finite);
+    finite.0
+}
+
 /// Deletes a checkpoint so that half of one is never taken for a whole one.
 fn discard(path: &Path) -> std::io::Result<()> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -142,14 +157,9 @@ pub fn list(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
 /// # Errors
 /// Any [`CheckpointError`].
 pub fn load(path: &Path, fresh: State) -> Result<State, CheckpointError> {
-    let read = |name: &str| {
-        let path = path.join(name);
-        fs::read(&path).map_err(|source| CheckpointError::Io { path, source })
-    };
+    let read = |name: &str| read(path, name);
     let damaged = |name: &str, why: String| CheckpointError::Damaged { path: path.join(name), why };
-    let progress = serde_json::from_slice(&read(PROGRESS)?).map_err(|e| damaged(PROGRESS, e.to_string()))?;
-    let replay =
-        ciborium::from_reader(read(REPLAY)?.as_slice()).map_err(|e| damaged(REPLAY, e.to_string()))?;
+    let (replay, progress) = without_weights(path)?;
     let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(read(LEARNER)?))
         .map_err(|e| damaged(LEARNER, e.to_string()))?;
     let learner = fresh.learner.valid().try_load_record(record);
@@ -159,6 +169,25 @@ pub fn load(path: &Path, fresh: State) -> Result<State, CheckpointError> {
         .from_bytes(Bytes::from_bytes_vec(read(OPTIMISER)?))
         .map_err(|e| damaged(OPTIMISER, e.to_string()))?;
     Ok(State { learner, optimiser, replay, progress })
+}
+
+/// The newer trials of a checkpoint and where its run stood, without its weights.
+///
+/// # Errors
+/// Any [`CheckpointError`].
+pub fn without_weights(path: &Path) -> Result<(Replay, Progress), CheckpointError> {
+    let damaged = |name: &str, why: String| CheckpointError::Damaged { path: path.join(name), why };
+    let replay = ciborium::from_reader(read(path, REPLAY)?.as_slice());
+    let progress = serde_json::from_slice(&read(path, PROGRESS)?);
+    Ok((
+        replay.map_err(|e| damaged(REPLAY, e.to_string()))?,
+        progress.map_err(|e| damaged(PROGRESS, e.to_string()))?,
+    ))
+}
+
+fn read(checkpoint: &Path, name: &str) -> Result<Vec<u8>, CheckpointError> {
+    let path = checkpoint.join(name);
+    fs::read(&path).map_err(|source| CheckpointError::Io { path, source })
 }
 
 /// What must be the same for a run to be resumed: its configuration and its data.

@@ -21,6 +21,9 @@ pub struct TrainConfig {
     /// Weights to start from instead of random ones: the folder of a network of the same shape, e.g. `weights/cloud`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<PathBuf>,
+    /// The folder of an earlier run on the same data, whose online trials this run begins with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub replay: Option<PathBuf>,
     /// A ResNet-18 under torchvision's names, safetensors or PyTorch's own format, to start the encoder of a network for
     /// pictures from instead of random weights; everything else starts at random. Of width 1, as ResNet-18 is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -347,7 +350,10 @@ impl TrainConfig {
     #[must_use]
     pub fn model(&self) -> ModelConfig {
         let n = &self.network;
-        let mut model = ModelConfig::new(n.modality, &n.primitives).with_width(n.width).with_points(n.points);
+        let mut model = ModelConfig::new(n.modality, &n.primitives).with_points(n.points);
+        if n.modality == Modality::Rgb {
+            model.width = n.width;
+        }
         model.name.clone_from(&self.name);
         model.hidden = n.hidden;
         model.latent = n.latent;

@@ -30,6 +30,11 @@ impl Replay {
         }
     }
 
+    /// Adds what another buffer holds.
+    pub fn extend(&mut self, other: Self) {
+        other.held.into_iter().for_each(|(scene, trials)| self.add(scene, trials));
+    }
+
     /// Trials held for a scene.
     pub fn trials(&self, scene: SceneId) -> impl Iterator<Item = Trial> + '_ {
         self.held.iter().filter(move |(id, _)| *id == scene).flat_map(|(_, trials)| trials.iter().copied())
@@ -81,5 +86,8 @@ mod tests {
         assert_eq!(replay.len(), 4);
         assert_eq!(replay.trials(a).map(|t| t.pixel.u).collect::<Vec<_>>(), vec![5, 6]);
         assert_eq!(replay.trials(b).count(), 2);
+        let mut smaller = Replay::new(3);
+        smaller.extend(replay);
+        assert_eq!((smaller.len(), smaller.trials(a).count()), (2, 2));
     }
 }

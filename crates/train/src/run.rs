@@ -66,21 +66,30 @@ pub enum TrainError {
         /// What differs.
         what: &'static str,
     },
+    /// The run whose trials are wanted had other data.
+    #[error("{}: this run had other data, expected one on the same shards", path.display())]
+    OtherData {
+        /// The run's folder.
+        path: PathBuf,
+    },
     /// The weights to start from are another network's.
     #[error("{}: these weights are of another network, expected one with the configuration's [network]", path.display())]
     OtherNetwork {
         /// The weights' folder.
         path: PathBuf,
     },
-    /// The loss is not a number any more, or far too large.
-    #[error("step {step}: the loss is {loss}; last good checkpoint: {}", last_good.display())]
+    /// The loss is not a number any more, or far too large, or a weight is no number.
+    #[error(
+        "step {step}: the loss is {loss}, the rate perhaps too high; last good checkpoint: {}",
+        shown(last_good)
+    )]
     Diverged {
         /// At which step.
         step: usize,
-        /// The loss.
+        /// The loss; no number if a weight is none.
         loss: f32,
-        /// Where to go on from, with a smaller rate.
-        last_good: PathBuf,
+        /// Where to go on from; `None` before the first checkpoint.
+        last_good: Option<PathBuf>,
     },
 }
 
@@ -218,7 +227,7 @@ pub fn train<'a>(
     let fresh = State {
         learner: first_weights(config, &model, &device.clone().autodiff())?,
         optimiser: AdamConfig::new().with_weight_decay(Some(weight_decay)).init(),
-        replay: Replay::new(config.adaptive.buffer),
+        replay: first_trials(config, &dataset)?,
         progress: Progress { fingerprint: fingerprint.clone(), ..Progress::default() },
     };
     let checkpoints = out.join(files::CHECKPOINTS);
@@ -241,7 +250,7 @@ pub fn train<'a>(
         validation_scenes,
         out,
         state,
-        last_checkpoint: newest.unwrap_or_default(),
+        last_checkpoint: newest,
         saved_at: Instant::now(),
         control,
     };
@@ -255,7 +264,7 @@ struct Run<'a> {
     validation_scenes: Vec<SceneId>,
     out: &'a Path,
     state: State,
-    last_checkpoint: PathBuf,
+    last_checkpoint: Option<PathBuf>,
     saved_at: Instant,
     control: Control<'a>,
 }
@@ -334,7 +343,7 @@ impl Run<'_> {
         let loss = number(&total);
         secs.forward = lap();
         if !loss.is_finite() || loss > EXPLODED {
-            return Err(TrainError::Diverged { step, loss, last_good: self.last_checkpoint.clone() });
+            return Err(self.diverged(step, loss));
         }
         let gradients = GradientsParams::from_grads(total.backward(), &self.state.learner);
         secs.backward = lap();
@@ -413,8 +422,16 @@ impl Run<'_> {
         Ok(Some(sum / batches as f32))
     }
 
+    fn diverged(&self, step: usize, loss: f32) -> TrainError {
+        TrainError::Diverged { step, loss, last_good: self.last_checkpoint.clone() }
+    }
+
     fn save(&mut self) -> Result<(), TrainError> {
-        self.last_checkpoint = checkpoint::save(&self.out.join(files::CHECKPOINTS), &self.state)?;
+        // The newest weights have not been through a loss yet.
+        if !checkpoint::is_finite(&self.state.learner) {
+            return Err(self.diverged(self.state.progress.step, f32::NAN));
+        }
+        self.last_checkpoint = Some(checkpoint::save(&self.out.join(files::CHECKPOINTS), &self.state)?);
         self.saved_at = Instant::now();
         Ok(())
     }
@@ -428,6 +445,10 @@ impl Run<'_> {
         };
         append().map_err(|e| io(&path, e))
     }
+}
+
+fn shown(checkpoint: &Option<PathBuf>) -> String {
+    checkpoint.as_ref().map_or_else(|| "none yet".to_owned(), |path| path.display().to_string())
 }
 
 fn io(path: &Path, source: std::io::Error) -> TrainError {
@@ -466,16 +487,35 @@ fn report(
 /// Creates the run's folder with its configuration, or checks that it holds the same one.
 fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result<String, TrainError> {
     let text = toml::to_string(config).map_err(|e| io(out, std::io::Error::other(e)))?;
-    let manifest = Manifest::load(dataset.folder()).map_err(DataError::from)?;
-    let shards = dataset.shards().len();
-    let manifest = serde_json::to_string(&(manifest, shards)).map_err(|e| io(out, e.into()))?;
     let path = out.join(files::CONFIG);
     match fs::read_to_string(&path) {
         Ok(found) if found == text => {}
         Ok(_) => return Err(TrainError::OtherRun { path: out.to_owned(), what: "another configuration" }),
         Err(_) => write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?,
     }
-    Ok(checkpoint::fingerprint(&text, &manifest))
+    Ok(checkpoint::fingerprint(&text, &manifest(dataset)?))
+}
+
+/// What tells one data set from another.
+fn manifest(dataset: &Dataset) -> Result<String, TrainError> {
+    let manifest = Manifest::load(dataset.folder()).map_err(DataError::from)?;
+    serde_json::to_string(&(manifest, dataset.shards().len())).map_err(|e| io(dataset.folder(), e.into()))
+}
+
+/// The newer trials to begin with: none, or those of the run that the configuration names.
+fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Replay, TrainError> {
+    let mut trials = Replay::new(config.adaptive.buffer);
+    let Some(run) = &config.replay else { return Ok(trials) };
+    let (path, checkpoints) = (run.join(files::CONFIG), run.join(files::CHECKPOINTS));
+    let text = fs::read_to_string(&path).map_err(|e| io(&path, e))?;
+    let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
+    let newest = newest.ok_or_else(|| io(&checkpoints, std::io::ErrorKind::NotFound.into()))?;
+    let (theirs, progress) = checkpoint::without_weights(&newest)?;
+    if progress.fingerprint != checkpoint::fingerprint(&text, &manifest(dataset)?) {
+        return Err(TrainError::OtherData { path: run.clone() });
+    }
+    trials.extend(theirs);
+    Ok(trials)
 }
 
 /// The weights to start from: those that the configuration names, or random ones, with the encoder that it names.

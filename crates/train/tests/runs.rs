@@ -10,9 +10,12 @@ use burn::tensor::Device;
 use where2act_core::shard::Manifest;
 use where2act_core::{Primitive, Seed};
 use where2act_model::{Modality, Network, Precision, Tensors, Weights};
+use where2act_train::checkpoint;
+use where2act_train::probes::Learner;
 use where2act_train::run::{Control, Outcome, TrainError, files, train};
 use where2act_train::{
-    BatchConfig, CollectConfig, DataError, Dataset, LossConfig, NetworkConfig, ScheduleConfig, TrainConfig,
+    BatchConfig, CollectConfig, DataError, Dataset, LossConfig, NetworkConfig, Part, ScheduleConfig,
+    TrainConfig,
 };
 
 fn data(folder: &Path, scenes: u64) -> Arc<Dataset> {
@@ -25,6 +28,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
         name: "test".to_owned(),
         seed: 3,
         from: None,
+        replay: None,
         encoder: None,
         network: NetworkConfig {
             modality: Modality::Cloud,
@@ -259,4 +263,49 @@ fn bad_data_is_named() {
     let empty = folder.path().join("empty");
     std::fs::create_dir(&empty).unwrap();
     assert!(Dataset::open(&empty, false).unwrap_err().to_string().contains("manifest.json"));
+}
+
+#[test]
+fn a_run_that_leaves_the_road_names_what_to_go_on_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 8);
+    let mut wild = config(0, 40);
+    wild.schedule.rate = 0.99;
+    let diverged = |out: &Path| match train_for(&wild, &data, out, usize::MAX) {
+        Err(TrainError::Diverged { last_good, .. }) => last_good,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(diverged(&folder.path().join("at-once")), None);
+    let out = folder.path().join("after-a-step");
+    train_for(&wild, &data, &out, 1).unwrap();
+    let last_good = diverged(&out).unwrap();
+    assert!(last_good.join("learner.bpk").exists() && last_good.ends_with("step-00000001"), "{last_good:?}");
+    // What is no number is not saved either.
+    let network = Network::new(&wild.model(), Seed(1), &Device::flex());
+    let learner = |network| Learner::new(network, &wild.loss, Seed(1));
+    assert!(checkpoint::is_finite(&learner(network.clone())));
+    assert!(!checkpoint::is_finite(&learner(network.shift_scores(&[f32::NAN]))));
+}
+
+#[test]
+fn a_run_may_begin_with_the_trials_of_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 8);
+    let scene = data.scenes(Part::Train).unwrap()[0];
+    let trials = data.shards()[scene.shard].trials(scene.scene).unwrap();
+    let (first, second) = (folder.path().join("first"), folder.path().join("second"));
+    let control = Control {
+        stop: &AtomicBool::new(false),
+        on_step: &mut |_| (),
+        on_epoch: &mut |_| vec![(scene, trials[..5].to_vec())],
+    };
+    train(&config(0, 6), Arc::clone(&data), &first, &Device::flex(), control).unwrap();
+    let further = TrainConfig { replay: Some(first.clone()), ..config(0, 1) };
+    train_for(&further, &data, &second, usize::MAX).unwrap();
+    let newest = checkpoint::list(&second.join(files::CHECKPOINTS)).unwrap().pop().unwrap();
+    let held = checkpoint::without_weights(&newest).unwrap().0;
+    assert_eq!(held.trials(scene).collect::<Vec<_>>(), trials[..5]);
+    let other = self::data(&folder.path().join("other"), 16);
+    let error = train_for(&further, &other, &folder.path().join("third"), 1).unwrap_err();
+    assert!(matches!(&error, TrainError::OtherData { path } if *path == first), "{error}");
 }

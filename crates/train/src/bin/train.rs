@@ -6,21 +6,25 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use burn::tensor::Device;
 use clap::Parser;
 use clap::builder::PossibleValuesParser;
-use indicatif::ProgressBar;
+use indicatif::{HumanDuration, ProgressBar};
 use where2act_core::shard::Manifest;
 use where2act_core::{Policy, Seed, program};
-use where2act_model::{Modality, Summary};
+use where2act_model::{Modality, Summary, Tensors, Weights};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::evaluate::EvaluateConfig;
 use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
 use where2act_train::{Dataset, TrainConfig, adaptive};
 
 use shared::Work;
+
+/// Where there is no terminal to draw a bar on, a line says as often how it goes.
+const TELL_EVERY: Duration = Duration::from_secs(60);
 
 /// Large buffers are kept for the next step instead of being returned to the system: half of a step's time.
 #[global_allocator]
@@ -60,6 +64,9 @@ struct Args {
     /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own.
     #[arg(long)]
     from: Option<PathBuf>,
+    /// Folder of an earlier run on the same data, to begin with the trials that it made between epochs.
+    #[arg(long)]
+    replay: Option<PathBuf>,
     /// ResNet-18 under torchvision's names (.pth or .safetensors) to start the encoder from: pictures, width 1.
     #[arg(long, value_name = "FILE", conflicts_with = "from")]
     encoder: Option<PathBuf>,
@@ -107,8 +114,14 @@ fn run(args: &Args) -> anyhow::Result<()> {
     if !args.resume && out.join(files::CHECKPOINTS).exists() {
         bail!("{}: holds a run already, expected an empty folder (or --resume to go on)", out.display());
     }
-    // Collecting takes minutes: a folder that cannot be made is found out first.
+    // Collecting takes minutes: what cannot be made or read is found out first.
     std::fs::create_dir_all(&out).with_context(|| format!("--out {}", out.display()))?;
+    if let Some(from) = &config.from {
+        Weights::load(from, &Device::flex()).context("--from")?;
+    }
+    if let Some(encoder) = &config.encoder {
+        Tensors::read(encoder).context("--encoder")?;
+    }
     if args.data.is_none() {
         collect(&config, &data, &args.work, &stop)?;
     }
@@ -124,10 +137,17 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let recipe = Manifest::load(dataset.folder())?.recipe;
     let preparer = serde_json::from_value::<Recipe>(recipe).ok().map(Preparer::new);
     let mut share = Stages::default();
+    let mut told = Instant::now();
     let mut on_step = |report: &StepReport| {
         share.add(report);
         bar.set_position(report.step as u64);
         bar.set_message(show(report));
+        if bar.is_hidden() && told.elapsed() > TELL_EVERY {
+            told = Instant::now();
+            let left = share.per_step() * (report.steps - report.step) as f64;
+            let left = HumanDuration(Duration::from_secs_f64(left));
+            tracing::info!("step {} of {}, {left} left: {}", report.step, report.steps, show(report));
+        }
     };
     let mut on_epoch = |report: &EpochReport<'_>| {
         let best = if report.is_best { ", best so far" } else { "" };
@@ -176,6 +196,9 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
     }
     if let Some(from) = &args.from {
         config.from = Some(from.clone());
+    }
+    if let Some(replay) = &args.replay {
+        config.replay = Some(replay.clone());
     }
     if let Some(encoder) = &args.encoder {
         config.encoder = Some(encoder.clone());
@@ -301,10 +324,15 @@ impl Stages {
         }
     }
 
+    /// Seconds of a step.
+    fn per_step(&self) -> f64 {
+        self.secs.iter().sum::<f64>() / self.steps.max(1) as f64
+    }
+
     fn show(&self) -> String {
         let total: f64 = self.secs.iter().sum();
         let [reading, forward, backward, optimiser] = self.secs.map(|s| 100.0 * s / total.max(1e-9));
-        let step = total / self.steps.max(1) as f64;
+        let step = self.per_step();
         format!(
             "{step:.2} s a step: reading {reading:.1} %, forward {forward:.1} %, backward {backward:.1} %, \
              optimiser {optimiser:.1} %"
