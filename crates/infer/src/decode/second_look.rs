@@ -78,7 +78,7 @@ impl SecondLook {
             frames.push(frame);
         }
         let width = seen.len() / hands.len().max(1);
-        let rows = self.around.append(&seen, width, &cloud.hand_views(&frames)).map_err(failed)?;
+        let rows = self.around.describe(&seen, width, &cloud.hand_views(&frames)).map_err(failed)?;
         let logits = run(&self.net, &rows, None)?;
         let of_output = logits.into_iter().skip(output).step_by(self.net.outputs());
         Ok(hands

@@ -25,6 +25,28 @@ pub(super) struct CloudEngine {
     head: Mlp,
 }
 
+/// Buffers of one call, kept for the next, which needs them in the same sizes.
+#[derive(Default)]
+pub(super) struct CloudMemory {
+    pub(super) free: Vec<Vec<f32>>,
+}
+
+impl CloudMemory {
+    /// A buffer of so many numbers, whatever they are: the smallest that is large enough, or else the largest, grown.
+    fn take(&mut self, len: usize) -> Vec<f32> {
+        let room = |i: &usize| self.free[*i].capacity();
+        let fitting = (0..self.free.len()).filter(|i| room(i) >= len).min_by_key(room);
+        let found = fitting.or_else(|| (0..self.free.len()).max_by_key(room));
+        let mut buffer = found.map(|i| self.free.swap_remove(i)).unwrap_or_default();
+        buffer.resize(len, 0.0);
+        buffer
+    }
+
+    fn give(&mut self, buffer: Vec<f32>) {
+        self.free.push(buffer);
+    }
+}
+
 fn plain(layer: &MlpLayer) -> Plain {
     Plain::norm_relu(&layer.linear, &layer.norm)
 }
@@ -71,22 +93,35 @@ impl CloudEngine {
     }
 
     /// Features `[points, features]` of all points of the hierarchy.
-    pub(super) fn run(&self, hierarchy: &Hierarchy, output: &mut [f32]) -> Result<(), ShapeError> {
-        let mut levels = vec![hierarchy.points().to_vec()];
+    pub(super) fn run(
+        &self,
+        hierarchy: &Hierarchy,
+        output: &mut [f32],
+        memory: &mut CloudMemory,
+    ) -> Result<(), ShapeError> {
+        // What each step down says; the points themselves are the level before the first.
+        let mut levels: Vec<Vec<f32>> = Vec::with_capacity(self.down.len());
         for (step, grouping) in self.down.iter().zip(hierarchy.groupings()) {
-            let finer = levels.last().map_or(&[][..], |level| level);
-            let level = step.down(finer, grouping)?;
+            let finer = levels.last().map_or(hierarchy.points(), |level| level);
+            let level = step.down(finer, grouping, memory)?;
             levels.push(level);
         }
         let mut coarse = levels.pop().unwrap_or_default();
-        if let (Some(points), Some(surroundings)) = (levels.first_mut(), &self.surroundings) {
-            *points = surroundings.append(points, 3, hierarchy.surroundings())?;
-        }
+        let around = match &self.surroundings {
+            Some(net) => Some(net.append(hierarchy.points(), 3, hierarchy.surroundings(), memory)?),
+            None => None,
+        };
         for (step, interpolation) in self.up.iter().zip(hierarchy.interpolations().iter().rev()) {
-            let skip = levels.pop().unwrap_or_default();
-            coarse = step.up(&coarse, &skip, interpolation)?;
+            let level = levels.pop();
+            let skip = level.as_deref().or(around.as_deref()).unwrap_or(hierarchy.points());
+            let finer = step.up(&coarse, skip, interpolation, memory)?;
+            memory.give(std::mem::replace(&mut coarse, finer));
+            level.into_iter().for_each(|level| memory.give(level));
         }
-        self.head.run(MlpInput { rows: &coarse, lookup: None, pool: 1 }, output)
+        around.into_iter().for_each(|around| memory.give(around));
+        self.head.run(MlpInput { rows: &coarse, lookup: None, pool: 1 }, output)?;
+        memory.give(coarse);
+        Ok(())
     }
 }
 
@@ -104,16 +139,29 @@ impl SurroundingsEngine {
     ///
     /// # Errors
     /// When there are not as many neighbourhoods as rows.
-    pub fn append(&self, rows: &[f32], width: usize, around: &[Grouping]) -> Result<Vec<f32>, ShapeError> {
+    pub fn describe(&self, rows: &[f32], width: usize, around: &[Grouping]) -> Result<Vec<f32>, ShapeError> {
+        self.append(rows, width, around, &mut CloudMemory::default())
+    }
+
+    fn append(
+        &self,
+        rows: &[f32],
+        width: usize,
+        around: &[Grouping],
+        memory: &mut CloudMemory,
+    ) -> Result<Vec<f32>, ShapeError> {
         let places = rows.len() / width.max(1);
         let channels = width + self.mlps.iter().map(Mlp::outputs).sum::<usize>();
-        let mut longer = vec![0.0; places * channels];
+        let mut longer = memory.take(places * channels);
+        if around.is_empty() {
+            longer.fill(0.0);
+        }
         for (row, own) in longer.chunks_exact_mut(channels).zip(rows.chunks_exact(width.max(1))) {
             row[..width].copy_from_slice(own);
         }
         let mut start = width;
         for (net, found) in self.mlps.iter().zip(around) {
-            let mut described = vec![0.0; places * net.outputs()];
+            let mut described = memory.take(places * net.outputs());
             let input = MlpInput { rows: &found.offsets, lookup: None, pool: found.neighbours };
             net.run(input, &mut described)?;
             for (row, of_place) in
@@ -121,6 +169,7 @@ impl SurroundingsEngine {
             {
                 row[start..start + net.outputs()].copy_from_slice(of_place);
             }
+            memory.give(described);
             start += net.outputs();
         }
         Ok(longer)
@@ -128,26 +177,40 @@ impl SurroundingsEngine {
 }
 
 impl Step {
-    fn shared(&self, rows: &[f32]) -> Result<Vec<f32>, ShapeError> {
-        let mut table = vec![0.0; rows.len() / self.shared.inputs().max(1) * self.shared.outputs()];
+    fn shared(&self, rows: &[f32], memory: &mut CloudMemory) -> Result<Vec<f32>, ShapeError> {
+        let mut table = memory.take(rows.len() / self.shared.inputs().max(1) * self.shared.outputs());
         self.shared.run(MlpInput { rows, lookup: None, pool: 1 }, &mut table)?;
         Ok(table)
     }
 
-    fn down(&self, features: &[f32], grouping: &Grouping) -> Result<Vec<f32>, ShapeError> {
-        let table = self.shared(features)?;
+    fn down(
+        &self,
+        features: &[f32],
+        grouping: &Grouping,
+        memory: &mut CloudMemory,
+    ) -> Result<Vec<f32>, ShapeError> {
+        let table = self.shared(features, memory)?;
         let lookup = Lookup { table: &table, rows: &grouping.rows, weights: None, each: 1 };
         let input = MlpInput { rows: &grouping.offsets, lookup: Some(lookup), pool: grouping.neighbours };
-        let mut output = vec![0.0; grouping.rows.len() / grouping.neighbours.max(1) * self.rest.outputs()];
+        let centres = grouping.rows.len() / grouping.neighbours.max(1);
+        let mut output = memory.take(centres * self.rest.outputs());
         self.rest.run(input, &mut output)?;
+        memory.give(table);
         Ok(output)
     }
 
-    fn up(&self, coarse: &[f32], skip: &[f32], near: &Interpolation) -> Result<Vec<f32>, ShapeError> {
-        let table = self.shared(coarse)?;
+    fn up(
+        &self,
+        coarse: &[f32],
+        skip: &[f32],
+        near: &Interpolation,
+        memory: &mut CloudMemory,
+    ) -> Result<Vec<f32>, ShapeError> {
+        let table = self.shared(coarse, memory)?;
         let lookup = Lookup { table: &table, rows: &near.rows, weights: Some(&near.weights), each: 3 };
-        let mut output = vec![0.0; near.rows.len() / 3 * self.rest.outputs()];
+        let mut output = memory.take(near.rows.len() / 3 * self.rest.outputs());
         self.rest.run(MlpInput { rows: skip, lookup: Some(lookup), pool: 1 }, &mut output)?;
+        memory.give(table);
         Ok(output)
     }
 }

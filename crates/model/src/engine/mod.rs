@@ -17,8 +17,8 @@ use where2act_kernels::{AlignedBuf, Isa, ShapeError};
 
 use crate::network::{Backbone, Network};
 use crate::pointnet::Hierarchy;
-use cloud::CloudEngine;
 pub use cloud::SurroundingsEngine;
+use cloud::{CloudEngine, CloudMemory};
 
 /// Why a network cannot be compiled, or an input not be taken.
 #[derive(Debug, thiserror::Error)]
@@ -50,6 +50,7 @@ pub struct Engine {
     backbone: Compiled,
     isa: Isa,
     memory: Mutex<Vec<UNetMemory>>,
+    cloud_memory: Mutex<Vec<CloudMemory>>,
     outputs: Mutex<Vec<AlignedBuf>>,
 }
 
@@ -148,7 +149,14 @@ impl Engine {
             }
             Backbone::PointNet2(net) => Compiled::Cloud(CloudEngine::new(isa, net)?),
         };
-        Ok((Self { backbone, isa, memory: Mutex::default(), outputs: Mutex::default() }, last))
+        let engine = Self {
+            backbone,
+            isa,
+            memory: Mutex::default(),
+            cloud_memory: Mutex::default(),
+            outputs: Mutex::default(),
+        };
+        Ok((engine, last))
     }
 
     /// Checks a precision by name: `f32` is what this engine computes in.
@@ -229,7 +237,10 @@ impl Engine {
             return Err(EngineError::Modality { expected: "pictures", found: "clouds" });
         };
         let mut features = self.take_features(clouds.points().len() / 3 * net.features());
-        net.run(clouds, &mut features.values)?;
+        let mut memory = take(&self.cloud_memory);
+        let result = net.run(clouds, &mut features.values, &mut memory);
+        give(&self.cloud_memory, memory);
+        result?;
         Ok(features)
     }
 
