@@ -90,6 +90,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             score_steps: 2,
             joint_steps: 4,
             epoch_steps: 3,
+            optimiser: Default::default(),
             rate: 1e-3,
             weight_decay: 1e-5,
             decay: Default::default(),

@@ -4,12 +4,15 @@
 
 use std::io::Cursor;
 
-use image::{DynamicImage, ImageFormat};
+use image::{DynamicImage, ImageEncoder, ImageFormat};
 use rand::RngExt;
 use where2act_core::Seed;
 use where2act_infer::read::{
-    parse_depth_png, parse_mask, parse_npy, parse_pcd, parse_picture, parse_ply, parse_scan,
+    DepthMap, parse_depth_png, parse_mask, parse_npy, parse_pcd, parse_picture, parse_ply, parse_scan,
 };
+
+/// An EXIF block with nothing but "turn by a quarter".
+const EXIF_TURNED: &[u8] = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
 
 /// Sound files of every kind that is read.
 fn sound() -> Vec<(&'static str, Vec<u8>)> {
@@ -21,6 +24,10 @@ fn sound() -> Vec<(&'static str, Vec<u8>)> {
     let rgb = DynamicImage::ImageRgb8(image::RgbImage::from_fn(19, 13, |x, y| {
         image::Rgb([x as u8 * 9, y as u8 * 7, 99])
     }));
+    let mut turned = Vec::new();
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut turned);
+    encoder.set_exif_metadata(EXIF_TURNED.to_vec()).unwrap();
+    rgb.write_with_encoder(encoder).unwrap();
     let depth = image::ImageBuffer::from_fn(9, 7, |x, y| image::Luma([(1000 + 30 * x + y) as u16]));
     let row = |i: usize| [i as f32 * 0.1, 1.0, 2.0 + i as f32];
     let floats = |n: usize| (0..n).flat_map(row).flat_map(f32::to_le_bytes).collect::<Vec<u8>>();
@@ -44,6 +51,8 @@ fn sound() -> Vec<(&'static str, Vec<u8>)> {
     vec![
         ("png", encode(&rgb, ImageFormat::Png)),
         ("jpg", encode(&rgb, ImageFormat::Jpeg)),
+        ("cmyk jpg", include_bytes!("data/cmyk.jpg").to_vec()),
+        ("turned jpg", turned),
         ("webp", encode(&rgb, ImageFormat::WebP)),
         ("depth png", encode(&DynamicImage::ImageLuma16(depth), ImageFormat::Png)),
         ("ascii ply", join(&format!("ply\nformat ascii 1.0\nelement vertex 5\n{xyz}"), text(5).as_bytes())),
@@ -74,6 +83,7 @@ fn read_all(bytes: &[u8]) {
     let _ = parse_ply(bytes);
     let _ = parse_pcd(bytes);
     let _ = parse_npy(bytes);
+    let _ = DepthMap::from_npy(bytes, 1.0);
 }
 
 /// Damages bytes in one of the ways files are damaged, or lied about.
@@ -113,7 +123,7 @@ fn mutate(bytes: &mut Vec<u8>, rng: &mut impl RngExt) {
 #[test]
 fn sound_files_are_read() {
     for (kind, bytes) in sound() {
-        if kind.contains("png") || kind == "jpg" || kind == "webp" {
+        if ["png", "jpg", "webp"].iter().any(|picture| kind.ends_with(picture)) {
             parse_picture(&bytes).unwrap();
         } else {
             let points = parse_scan(&bytes).unwrap_or_else(|e| panic!("{kind}: {e}"));
@@ -123,7 +133,12 @@ fn sound_files_are_read() {
             }
         }
     }
-    assert!((parse_depth_png(&sound()[3].1, 0.001).unwrap().metres[10] - 1.031).abs() < 1e-6);
+    let file = |wanted| sound().into_iter().find(|(kind, _)| *kind == wanted).unwrap().1;
+    let size = parse_picture(&file("turned jpg")).unwrap().size;
+    assert_eq!((size.width, size.height), (13, 19));
+    // The points of the scan as a depth map of 5 x 3.
+    assert_eq!(DepthMap::from_npy(&file("npy"), 1.0).unwrap().metres.len(), 15);
+    assert!((parse_depth_png(&file("depth png"), 0.001).unwrap().metres[10] - 1.031).abs() < 1e-6);
 }
 
 #[test]

@@ -121,7 +121,10 @@ pub struct ScheduleConfig {
     pub joint_steps: usize,
     /// Steps of one epoch: after each one comes validation, a checkpoint and, if enabled, adaptive sampling.
     pub epoch_steps: usize,
-    /// Learning rate of Adam at the start.
+    /// What makes steps of gradients.
+    #[serde(default)]
+    pub optimiser: Optimiser,
+    /// Learning rate at the start.
     #[serde(default = "published_rate")]
     pub rate: f64,
     /// Decay of the weights towards zero.
@@ -212,6 +215,17 @@ impl Default for BatchConfig {
             measured: 0.0,
         }
     }
+}
+
+/// What makes steps of gradients.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Optimiser {
+    /// Adam for all parameters (the paper).
+    #[default]
+    Adam,
+    /// Muon (Jordan et al., 2024) for the backbone's linear layers, with steps as large as Adam's; Adam for the rest.
+    Muon,
 }
 
 impl Default for Decay {

@@ -27,7 +27,7 @@ pub mod step;
 mod validate;
 
 pub use config::{
-    AdaptiveConfig, BatchConfig, CollectConfig, ConfigError, Decay, LossConfig, NetworkConfig,
+    AdaptiveConfig, BatchConfig, CollectConfig, ConfigError, Decay, LossConfig, NetworkConfig, Optimiser,
     ScheduleConfig, TrainConfig,
 };
 pub use dataset::{Counts, DataError, Dataset, SceneId};

@@ -9,8 +9,9 @@ use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use burn::module::Module;
+use burn::module::ParamGroup;
 use burn::optim::decay::WeightDecayConfig;
-use burn::optim::{AdamConfig, GradientsParams};
+use burn::optim::{AdamConfig, AdjustLrFn, GradientsParams, ModuleOptimizer, MuonConfig};
 use burn::tensor::{Device, Tensor};
 use serde::Serialize;
 use where2act_core::shard::Manifest;
@@ -23,7 +24,7 @@ use where2act_model::{
 use crate::adaptive;
 use crate::batch::{Batch, Source};
 use crate::checkpoint::{self, CheckpointError, Progress, State};
-use crate::config::{BatchConfig, ConfigError, TrainConfig};
+use crate::config::{BatchConfig, ConfigError, Optimiser, TrainConfig};
 use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
 use crate::probes::Learner;
@@ -223,10 +224,9 @@ pub fn train<'a>(
 
     let fingerprint = prepare_folder(config, &dataset, out)?;
     let model = with_scan_radius(config, &dataset, &train_scenes)?;
-    let weight_decay = WeightDecayConfig::new(config.schedule.weight_decay);
     let fresh = State {
         learner: first_weights(config, &model, &device.clone().autodiff())?,
-        optimiser: AdamConfig::new().with_weight_decay(Some(weight_decay)).init(),
+        optimiser: optimiser(config),
         replay: first_trials(config, &dataset)?,
         progress: Progress { fingerprint: fingerprint.clone(), ..Progress::default() },
     };
@@ -516,6 +516,20 @@ fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Replay, Train
     }
     trials.extend(theirs);
     Ok(trials)
+}
+
+fn optimiser(config: &TrainConfig) -> ModuleOptimizer {
+    let decay = WeightDecayConfig::new(config.schedule.weight_decay);
+    let adam = AdamConfig::new().with_weight_decay(Some(decay.clone())).init();
+    match config.schedule.optimiser {
+        Optimiser::Adam => adam,
+        Optimiser::Muon => {
+            let linear = ParamGroup::from_predicates(vec!["backbone", "linear.weight"]);
+            let muon =
+                MuonConfig::new().with_weight_decay(Some(decay)).with_adjust_lr_fn(AdjustLrFn::MatchRmsAdamW);
+            adam.with_group(linear, muon.build(), None)
+        }
+    }
 }
 
 /// The weights to start from: those that the configuration names, or random ones, with the encoder that it names.

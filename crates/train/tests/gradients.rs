@@ -48,6 +48,7 @@ fn config(modality: Modality) -> TrainConfig {
             score_steps: 0,
             joint_steps: 1,
             epoch_steps: 1,
+            optimiser: Default::default(),
             rate: 1e-3,
             weight_decay: 0.0,
             decay: Default::default(),
