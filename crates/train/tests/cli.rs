@@ -128,6 +128,15 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
+fn train_misses_what_it_shall_start_from_before_it_collects() {
+    let bench = Bench::new();
+    refused(&bench.train("--config run.toml --from nowhere"), &["--from", "nowhere"]);
+    bench.write("rgb.toml", &CONFIG.replace("cloud", "rgb"));
+    refused(&bench.train("--config rgb.toml --encoder nowhere.pth"), &["--encoder", "nowhere.pth"]);
+    assert!(!bench.path("data").exists());
+}
+
+#[test]
 fn train_names_what_is_wrong_with_its_configuration() {
     let bench = Bench::new();
     refused(&bench.train("--config nowhere.toml"), &["nowhere.toml", "No such file"]);

@@ -14,7 +14,7 @@ use clap::Parser;
 use clap::builder::PossibleValuesParser;
 use indicatif::{HumanDuration, ProgressBar};
 use where2act_core::shard::Manifest;
-use where2act_core::{Policy, Seed, program};
+use where2act_core::{Policy, Primitive, Seed, program};
 use where2act_model::{Modality, Summary, Tensors, Weights};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::evaluate::EvaluateConfig;
@@ -76,6 +76,9 @@ struct Args {
     /// Pictures or scans, instead of what the configuration says.
     #[arg(long, value_parser = ["rgb", "cloud"])]
     modality: Option<String>,
+    /// Primitive to learn, instead of those of the configuration; several times for several.
+    #[arg(long = "primitive", value_name = "P")]
+    primitives: Vec<Primitive>,
     /// No online sampling.
     #[arg(long)]
     no_adaptive: bool,
@@ -211,6 +214,9 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
         Some("rgb") => config.network.modality = Modality::Rgb,
         Some(_) => config.network.modality = Modality::Cloud,
         None => {}
+    }
+    if !args.primitives.is_empty() {
+        config.network.primitives.clone_from(&args.primitives);
     }
     if args.no_adaptive {
         config.adaptive.enabled = false;
