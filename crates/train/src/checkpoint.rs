@@ -31,7 +31,7 @@ pub struct Progress {
 pub struct State {
     /// What is trained.
     pub learner: Learner,
-    /// Adam and its moments.
+    /// Adam or Muon, and what it remembers.
     pub optimiser: ModuleOptimizer,
     /// Newer trials.
     pub replay: Replay,
@@ -108,7 +108,7 @@ pub fn save(folder: &Path, state: &State) -> Result<PathBuf, CheckpointError> {
     Ok(path)
 }
 
-/// Whether every weight is a number: what is saved must be worth going on from.
+/// Whether every weight and running statistic is finite: what is saved must be worth going on from.
 #[must_use]
 pub fn is_finite(learner: &Learner) -> bool {
     struct Finite(bool);
@@ -157,16 +157,15 @@ pub fn list(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
 /// # Errors
 /// Any [`CheckpointError`].
 pub fn load(path: &Path, fresh: State) -> Result<State, CheckpointError> {
-    let read = |name: &str| read(path, name);
     let damaged = |name: &str, why: String| CheckpointError::Damaged { path: path.join(name), why };
     let (replay, progress) = without_weights(path)?;
-    let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(read(LEARNER)?))
+    let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(read(path, LEARNER)?))
         .map_err(|e| damaged(LEARNER, e.to_string()))?;
     let learner = fresh.learner.valid().try_load_record(record);
     let learner = learner.map_err(|e| damaged(LEARNER, e.to_string()))?.train();
     let optimiser = fresh
         .optimiser
-        .from_bytes(Bytes::from_bytes_vec(read(OPTIMISER)?))
+        .from_bytes(Bytes::from_bytes_vec(read(path, OPTIMISER)?))
         .map_err(|e| damaged(OPTIMISER, e.to_string()))?;
     Ok(State { learner, optimiser, replay, progress })
 }

@@ -21,7 +21,8 @@ pub struct TrainConfig {
     /// Weights to start from instead of random ones: the folder of a network of the same shape, e.g. `weights/cloud`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<PathBuf>,
-    /// The folder of an earlier run on the same data, whose online trials this run begins with.
+    /// The folder of an earlier run on the same data, whose newest online trials, as many as `adaptive.buffer` holds, this
+    /// run begins with. Give it another seed: with the same one it repeats that run's random trials.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub replay: Option<PathBuf>,
     /// A ResNet-18 under torchvision's names, safetensors or PyTorch's own format, to start the encoder of a network for
@@ -121,8 +122,8 @@ pub struct ScheduleConfig {
     pub joint_steps: usize,
     /// Steps of one epoch: after each one comes validation, a checkpoint and, if enabled, adaptive sampling.
     pub epoch_steps: usize,
-    /// What makes steps of gradients.
-    #[serde(default)]
+    /// What turns gradients into steps: Adam unless said otherwise. Steps of both are about as large, so `rate` may stay.
+    #[serde(default, skip_serializing_if = "Optimiser::is_adam")]
     pub optimiser: Optimiser,
     /// Learning rate at the start.
     #[serde(default = "published_rate")]
@@ -217,15 +218,22 @@ impl Default for BatchConfig {
     }
 }
 
-/// What makes steps of gradients.
+/// What turns gradients into steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Optimiser {
     /// Adam for all parameters (the paper).
     #[default]
     Adam,
-    /// Muon (Jordan et al., 2024) for the backbone's linear layers, with steps as large as Adam's; Adam for the rest.
+    /// Muon (Jordan et al., 2024) for the linear layers of a backbone for scans, with steps about as large as Adam's;
+    /// Adam for the rest. The U-Net has no such layers.
     Muon,
+}
+
+impl Optimiser {
+    fn is_adam(&self) -> bool {
+        *self == Self::Adam
+    }
 }
 
 impl Default for Decay {

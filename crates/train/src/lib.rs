@@ -5,7 +5,7 @@
 //! | which objects may be trained on | [`Part`] |
 //! | shards, memory-mapped | [`Dataset`] |
 //! | what a step sees | [`batch`] |
-//! | losses, gradients, Adam | [`step`] |
+//! | losses | [`step`] |
 //! | the whole run: epochs, validation, checkpoints | [`run`] |
 //! | numbers: metrics, intervals, executed proposals | [`metrics`], [`evaluate`] |
 
@@ -23,6 +23,7 @@ mod replay;
 pub mod run;
 mod sensor;
 mod split;
+mod start;
 pub mod step;
 mod validate;
 

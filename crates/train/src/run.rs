@@ -9,27 +9,21 @@ use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use burn::module::Module;
-use burn::module::ParamGroup;
-use burn::optim::decay::WeightDecayConfig;
-use burn::optim::{AdamConfig, AdjustLrFn, GradientsParams, ModuleOptimizer, MuonConfig};
+use burn::optim::GradientsParams;
 use burn::tensor::{Device, Tensor};
 use serde::Serialize;
-use where2act_core::shard::Manifest;
 use where2act_core::{Policy, Seed, Trial, write_whole};
-use where2act_model::preprocess::{CloudInput, CloudScale};
-use where2act_model::{
-    Modality, ModelConfig, Network, Precision, Summary, Weights, WeightsError, save_weights,
-};
+use where2act_model::{Network, Precision, Summary, WeightsError, save_weights};
 
 use crate::adaptive;
 use crate::batch::{Batch, Source};
 use crate::checkpoint::{self, CheckpointError, Progress, State};
-use crate::config::{BatchConfig, ConfigError, Optimiser, TrainConfig};
+use crate::config::{BatchConfig, ConfigError, TrainConfig};
 use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
-use crate::probes::Learner;
 use crate::replay::Replay;
 use crate::split::Part;
+use crate::start::{first_trials, first_weights, manifest, optimiser, with_scan_radius};
 use crate::step::{Losses, Phase, forward};
 use crate::validate::{Validation, validate};
 
@@ -51,7 +45,7 @@ pub enum TrainError {
     /// The picture of the curves cannot be drawn.
     #[error(transparent)]
     Curves(#[from] CurvesError),
-    /// A file of the run cannot be written.
+    /// A file of a run cannot be read or written.
     #[error("{}: {source}", path.display())]
     Io {
         /// Which file.
@@ -68,7 +62,7 @@ pub enum TrainError {
         what: &'static str,
     },
     /// The run whose trials are wanted had other data.
-    #[error("{}: this run had other data, expected one on the same shards", path.display())]
+    #[error("{}: expected a run on the same data with its config.toml as it was, found another", path.display())]
     OtherData {
         /// The run's folder.
         path: PathBuf,
@@ -81,15 +75,15 @@ pub enum TrainError {
     },
     /// The loss is not a number any more, or far too large, or a weight is no number.
     #[error(
-        "step {step}: the loss is {loss}, the rate perhaps too high; last good checkpoint: {}",
-        shown(last_good)
+        "step {step}: the loss is {loss}; start another run with a smaller schedule.rate; last good checkpoint: {}",
+        last_good.as_deref().unwrap_or(Path::new("none yet")).display()
     )]
     Diverged {
         /// At which step.
         step: usize,
         /// The loss; no number if a weight is none.
         loss: f32,
-        /// Where to go on from; `None` before the first checkpoint.
+        /// The newest checkpoint, whose weights are numbers; `None` before the first.
         last_good: Option<PathBuf>,
     },
 }
@@ -145,7 +139,7 @@ pub struct StageSecs {
     pub forward: f64,
     /// Gradients.
     pub backward: f64,
-    /// Adam.
+    /// The optimiser's step.
     pub optimiser: f64,
 }
 
@@ -227,14 +221,14 @@ pub fn train<'a>(
     let fresh = State {
         learner: first_weights(config, &model, &device.clone().autodiff())?,
         optimiser: optimiser(config),
-        replay: first_trials(config, &dataset)?,
+        replay: Replay::default(),
         progress: Progress { fingerprint: fingerprint.clone(), ..Progress::default() },
     };
     let checkpoints = out.join(files::CHECKPOINTS);
     let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
     let state = match &newest {
         Some(path) => checkpoint::load(path, fresh)?,
-        None => fresh,
+        None => State { replay: first_trials(config, &dataset)?, ..fresh },
     };
     if state.progress.fingerprint != fingerprint {
         return Err(TrainError::OtherRun {
@@ -359,6 +353,7 @@ impl Run<'_> {
     }
 
     fn end_epoch(&mut self, epoch: usize) -> Result<(), TrainError> {
+        self.check_weights()?;
         let network = self.state.learner.network.clone().valid();
         let seed = self.config.root_seed();
         let validation = validate(&network, &self.dataset, &self.validation_scenes, seed)?;
@@ -426,11 +421,14 @@ impl Run<'_> {
         TrainError::Diverged { step, loss, last_good: self.last_checkpoint.clone() }
     }
 
+    /// The newest weights have not been through a loss yet.
+    fn check_weights(&self) -> Result<(), TrainError> {
+        let finite = checkpoint::is_finite(&self.state.learner);
+        if finite { Ok(()) } else { Err(self.diverged(self.state.progress.step, f32::NAN)) }
+    }
+
     fn save(&mut self) -> Result<(), TrainError> {
-        // The newest weights have not been through a loss yet.
-        if !checkpoint::is_finite(&self.state.learner) {
-            return Err(self.diverged(self.state.progress.step, f32::NAN));
-        }
+        self.check_weights()?;
         self.last_checkpoint = Some(checkpoint::save(&self.out.join(files::CHECKPOINTS), &self.state)?);
         self.saved_at = Instant::now();
         Ok(())
@@ -447,11 +445,7 @@ impl Run<'_> {
     }
 }
 
-fn shown(checkpoint: &Option<PathBuf>) -> String {
-    checkpoint.as_ref().map_or_else(|| "none yet".to_owned(), |path| path.display().to_string())
-}
-
-fn io(path: &Path, source: std::io::Error) -> TrainError {
+pub(crate) fn io(path: &Path, source: std::io::Error) -> TrainError {
     TrainError::Io { path: path.to_owned(), source }
 }
 
@@ -490,101 +484,14 @@ fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result
     let path = out.join(files::CONFIG);
     match fs::read_to_string(&path) {
         Ok(found) if found == text => {}
+        // A run that never came to a checkpoint has nothing to lose.
+        Ok(_) if checkpoint::list(&out.join(files::CHECKPOINTS)).is_ok_and(|all| all.is_empty()) => {
+            write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?;
+        }
         Ok(_) => return Err(TrainError::OtherRun { path: out.to_owned(), what: "another configuration" }),
         Err(_) => write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?,
     }
     Ok(checkpoint::fingerprint(&text, &manifest(dataset)?))
-}
-
-/// What tells one data set from another.
-fn manifest(dataset: &Dataset) -> Result<String, TrainError> {
-    let manifest = Manifest::load(dataset.folder()).map_err(DataError::from)?;
-    serde_json::to_string(&(manifest, dataset.shards().len())).map_err(|e| io(dataset.folder(), e.into()))
-}
-
-/// The newer trials to begin with: none, or those of the run that the configuration names.
-fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Replay, TrainError> {
-    let mut trials = Replay::new(config.adaptive.buffer);
-    let Some(run) = &config.replay else { return Ok(trials) };
-    let (path, checkpoints) = (run.join(files::CONFIG), run.join(files::CHECKPOINTS));
-    let text = fs::read_to_string(&path).map_err(|e| io(&path, e))?;
-    let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
-    let newest = newest.ok_or_else(|| io(&checkpoints, std::io::ErrorKind::NotFound.into()))?;
-    let (theirs, progress) = checkpoint::without_weights(&newest)?;
-    if progress.fingerprint != checkpoint::fingerprint(&text, &manifest(dataset)?) {
-        return Err(TrainError::OtherData { path: run.clone() });
-    }
-    trials.extend(theirs);
-    Ok(trials)
-}
-
-fn optimiser(config: &TrainConfig) -> ModuleOptimizer {
-    let decay = WeightDecayConfig::new(config.schedule.weight_decay);
-    let adam = AdamConfig::new().with_weight_decay(Some(decay.clone())).init();
-    match config.schedule.optimiser {
-        Optimiser::Adam => adam,
-        Optimiser::Muon => {
-            let linear = ParamGroup::from_predicates(vec!["backbone", "linear.weight"]);
-            let muon =
-                MuonConfig::new().with_weight_decay(Some(decay)).with_adjust_lr_fn(AdjustLrFn::MatchRmsAdamW);
-            adam.with_group(linear, muon.build(), None)
-        }
-    }
-}
-
-/// The weights to start from: those that the configuration names, or random ones, with the encoder that it names.
-fn first_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> Result<Learner, TrainError> {
-    let seed = config.root_seed().child("weights", 0);
-    let Some(folder) = &config.from else {
-        let random = Network::new(model, seed, device);
-        let network = match &config.encoder {
-            Some(file) => random.with_resnet18(file)?,
-            None => random,
-        };
-        return Ok(Learner::new(network, &config.loss, seed));
-    };
-    let network = Weights::load(folder, device)?.network;
-    // What does not change the shape of any parameter may differ, and a second look may be added.
-    let found = network.config().clone();
-    let comparable = ModelConfig {
-        name: model.name.clone(),
-        points: model.points,
-        preprocessing: model.preprocessing.clone(),
-        second_look: found.second_look || model.second_look,
-        ..found
-    };
-    if comparable != *model {
-        return Err(TrainError::OtherNetwork { path: folder.clone() });
-    }
-    let network = Network::new(model, seed, device).with_tensors_of(&network)?;
-    Ok(Learner::new(network, &config.loss, seed))
-}
-
-/// The network's description with the sizes of clouds that training will see.
-fn with_scan_radius(
-    config: &TrainConfig,
-    dataset: &Dataset,
-    scenes: &[SceneId],
-) -> Result<ModelConfig, TrainError> {
-    let mut model = config.model();
-    if model.modality == Modality::Rgb {
-        return Ok(model);
-    }
-    let mut radii = Vec::new();
-    for (i, id) in scenes.iter().enumerate().take(100) {
-        let shard = &dataset.shards()[id.shard];
-        let points: Vec<_> = shard.foreground(id.scene).into_iter().map(|(_, point)| point).collect();
-        let mut rng = config.root_seed().child("radius", i as u64).rng();
-        let small = model.clone().with_points(1000);
-        let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), &small, &mut rng)
-            .map_err(|source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source })?;
-        radii.push(cloud.robust_radius());
-    }
-    radii.sort_by(f32::total_cmp);
-    if let (Some(smallest), Some(largest)) = (radii.first(), radii.last()) {
-        model.preprocessing.scan_radius = [*smallest, *largest];
-    }
-    Ok(model)
 }
 
 /// Drops lines of steps that will be done again.

@@ -1,4 +1,4 @@
-//! One training step: forward, losses, backward, Adam.
+//! The forward pass of a training step and its losses.
 
 use burn::module::Module;
 use burn::tensor::activation::sigmoid;

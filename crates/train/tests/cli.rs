@@ -131,6 +131,8 @@ fn names(folder: &Path) -> Vec<String> {
 fn train_misses_what_it_shall_start_from_before_it_collects() {
     let bench = Bench::new();
     refused(&bench.train("--config run.toml --from nowhere"), &["--from", "nowhere"]);
+    refused(&bench.train("--config run.toml --replay nowhere"), &["--replay", "nowhere"]);
+    misused(&bench.train("--config run.toml --primitive pull"), &["--primitive", "pull"]);
     bench.write("rgb.toml", &CONFIG.replace("cloud", "rgb"));
     refused(&bench.train("--config rgb.toml --encoder nowhere.pth"), &["--encoder", "nowhere.pth"]);
     assert!(!bench.path("data").exists());

@@ -143,6 +143,7 @@ impl SurroundingsEngine {
         self.append(rows, width, around, &mut CloudMemory::default())
     }
 
+    /// [`Self::describe`], in buffers of `memory`.
     fn append(
         &self,
         rows: &[f32],
@@ -153,7 +154,7 @@ impl SurroundingsEngine {
         let places = rows.len() / width.max(1);
         let channels = width + self.mlps.iter().map(Mlp::outputs).sum::<usize>();
         let mut longer = memory.take(places * channels);
-        if around.is_empty() {
+        if around.len() < self.mlps.len() {
             longer.fill(0.0);
         }
         for (row, own) in longer.chunks_exact_mut(channels).zip(rows.chunks_exact(width.max(1))) {

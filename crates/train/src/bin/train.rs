@@ -19,11 +19,11 @@ use where2act_model::{Modality, Summary, Tensors, Weights};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::evaluate::EvaluateConfig;
 use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
-use where2act_train::{Dataset, TrainConfig, adaptive};
+use where2act_train::{Dataset, TrainConfig, adaptive, checkpoint};
 
 use shared::Work;
 
-/// Where there is no terminal to draw a bar on, a line says as often how it goes.
+/// Where there is no terminal to draw a bar on, the log (`RUST_LOG=info`) says as often how it goes.
 const TELL_EVERY: Duration = Duration::from_secs(60);
 
 /// Large buffers are kept for the next step instead of being returned to the system: half of a step's time.
@@ -40,6 +40,7 @@ static ALLOCATOR: where2act_kernels::KeepLarge = where2act_kernels::KeepLarge::n
   train --config configs/standard.toml --data data/cloud --out runs/cloud --resume
   train --data data/cloud --modality rgb --steps 2000
   train --config configs/standard.toml --from weights/cloud --data data/mine --out runs/mine
+  RUST_LOG=info train 2> train.log                  without a terminal: a line a minute
   train --modality rgb --encoder resnet18.pth --data data/rgb --out runs/rgb"
 )]
 struct Args {
@@ -64,7 +65,8 @@ struct Args {
     /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own.
     #[arg(long)]
     from: Option<PathBuf>,
-    /// Folder of an earlier run on the same data, to begin with the trials that it made between epochs.
+    /// Folder of an earlier run on the same data, to begin with the trials that it made between epochs. Give this run
+    /// another seed: with the same one it repeats that run's random trials.
     #[arg(long)]
     replay: Option<PathBuf>,
     /// ResNet-18 under torchvision's names (.pth or .safetensors) to start the encoder from: pictures, width 1.
@@ -119,13 +121,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     // Collecting takes minutes: what cannot be made or read is found out first.
     std::fs::create_dir_all(&out).with_context(|| format!("--out {}", out.display()))?;
-    if let Some(from) = &config.from {
-        Weights::load(from, &Device::flex()).context("--from")?;
-    }
-    if let Some(encoder) = &config.encoder {
-        Tensors::read(encoder).context("--encoder")?;
-    }
     if args.data.is_none() {
+        check_start(&config)?;
         collect(&config, &data, &args.work, &stop)?;
     }
     let dataset = Arc::new(Dataset::open(&data, args.skip_damaged)?);
@@ -223,6 +220,22 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
     }
     config.validate()?;
     Ok(config)
+}
+
+/// Reads what the run shall start from.
+fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
+    if let Some(from) = &config.from {
+        Weights::load(from, &Device::flex()).context("--from")?;
+    }
+    if let Some(encoder) = &config.encoder {
+        Tensors::read(encoder).context("--encoder")?;
+    }
+    if let Some(run) = &config.replay
+        && checkpoint::list(&run.join(files::CHECKPOINTS))?.is_empty()
+    {
+        bail!("--replay {}: no checkpoints, expected the folder of a run", run.display());
+    }
+    Ok(())
 }
 
 /// Collects what the configuration asks for, or the rest of it.

@@ -1,0 +1,114 @@
+//! What a run starts from: weights, trials, an optimiser that remembers nothing yet.
+
+use std::fs;
+
+use burn::module::ParamGroup;
+use burn::optim::decay::WeightDecayConfig;
+use burn::optim::{AdamConfig, AdjustLrFn, ModuleOptimizer, MuonConfig};
+use burn::tensor::Device;
+use where2act_core::shard::Manifest;
+use where2act_model::preprocess::{CloudInput, CloudScale};
+use where2act_model::{Modality, ModelConfig, Network, Weights};
+
+use crate::checkpoint;
+use crate::config::{Optimiser, TrainConfig};
+use crate::dataset::{DataError, Dataset, SceneId};
+use crate::probes::Learner;
+use crate::replay::Replay;
+use crate::run::{TrainError, files, io};
+
+/// The optimiser that the configuration names.
+pub(crate) fn optimiser(config: &TrainConfig) -> ModuleOptimizer {
+    let decay = WeightDecayConfig::new(config.schedule.weight_decay);
+    let adam = AdamConfig::new().with_weight_decay(Some(decay.clone())).init();
+    match config.schedule.optimiser {
+        Optimiser::Adam => adam,
+        Optimiser::Muon => {
+            let linear = ParamGroup::from_predicates(vec!["backbone", "linear.weight"]);
+            let muon =
+                MuonConfig::new().with_weight_decay(Some(decay)).with_adjust_lr_fn(AdjustLrFn::MatchRmsAdamW);
+            adam.with_group(linear, muon.build(), None)
+        }
+    }
+}
+
+/// The weights to start from: those that the configuration names, or random ones, with the encoder that it names.
+pub(crate) fn first_weights(
+    config: &TrainConfig,
+    model: &ModelConfig,
+    device: &Device,
+) -> Result<Learner, TrainError> {
+    let seed = config.root_seed().child("weights", 0);
+    let Some(folder) = &config.from else {
+        let random = Network::new(model, seed, device);
+        let network = match &config.encoder {
+            Some(file) => random.with_resnet18(file)?,
+            None => random,
+        };
+        return Ok(Learner::new(network, &config.loss, seed));
+    };
+    let network = Weights::load(folder, device)?.network;
+    // What does not change the shape of any parameter may differ, and a second look may be added.
+    let found = network.config().clone();
+    let comparable = ModelConfig {
+        name: model.name.clone(),
+        points: model.points,
+        preprocessing: model.preprocessing.clone(),
+        second_look: found.second_look || model.second_look,
+        ..found
+    };
+    if comparable != *model {
+        return Err(TrainError::OtherNetwork { path: folder.clone() });
+    }
+    let network = Network::new(model, seed, device).with_tensors_of(&network)?;
+    Ok(Learner::new(network, &config.loss, seed))
+}
+
+/// The newer trials to begin with: none, or those of the run that the configuration names.
+pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Replay, TrainError> {
+    let mut trials = Replay::new(config.adaptive.buffer);
+    let Some(run) = &config.replay else { return Ok(trials) };
+    let (path, checkpoints) = (run.join(files::CONFIG), run.join(files::CHECKPOINTS));
+    let text = fs::read_to_string(&path).map_err(|e| io(&path, e))?;
+    let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
+    let newest = newest.ok_or_else(|| io(&checkpoints, std::io::ErrorKind::NotFound.into()))?;
+    let (theirs, progress) = checkpoint::without_weights(&newest)?;
+    if progress.fingerprint != checkpoint::fingerprint(&text, &manifest(dataset)?) {
+        return Err(TrainError::OtherData { path: run.clone() });
+    }
+    trials.extend(theirs);
+    Ok(trials)
+}
+
+/// What tells one data set from another.
+pub(crate) fn manifest(dataset: &Dataset) -> Result<String, TrainError> {
+    let manifest = Manifest::load(dataset.folder()).map_err(DataError::from)?;
+    serde_json::to_string(&(manifest, dataset.shards().len())).map_err(|e| io(dataset.folder(), e.into()))
+}
+
+/// The network's description with the sizes of clouds that training will see.
+pub(crate) fn with_scan_radius(
+    config: &TrainConfig,
+    dataset: &Dataset,
+    scenes: &[SceneId],
+) -> Result<ModelConfig, TrainError> {
+    let mut model = config.model();
+    if model.modality == Modality::Rgb {
+        return Ok(model);
+    }
+    let mut radii = Vec::new();
+    for (i, id) in scenes.iter().enumerate().take(100) {
+        let shard = &dataset.shards()[id.shard];
+        let points: Vec<_> = shard.foreground(id.scene).into_iter().map(|(_, point)| point).collect();
+        let mut rng = config.root_seed().child("radius", i as u64).rng();
+        let small = model.clone().with_points(1000);
+        let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), &small, &mut rng)
+            .map_err(|source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source })?;
+        radii.push(cloud.robust_radius());
+    }
+    radii.sort_by(f32::total_cmp);
+    if let (Some(smallest), Some(largest)) = (radii.first(), radii.last()) {
+        model.preprocessing.scan_radius = [*smallest, *largest];
+    }
+    Ok(model)
+}
