@@ -102,7 +102,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
     let control =
         Control { stop: &AtomicBool::new(false), on_step: &mut |_| {}, on_epoch: &mut |_| Vec::new() };
     let outcome = train(&config, Arc::clone(dataset), out, &Device::flex(), control).unwrap();
-    assert!(outcome.finished && outcome.weights.as_deref() == Some(&out.join(files::WEIGHTS)));
+    assert!(outcome.finished && outcome.weights.as_deref() == Some(&out.join(files::LAST)));
     outcome.weights.unwrap()
 }
 

@@ -165,7 +165,7 @@ pub struct EpochReport<'a> {
 pub struct Outcome {
     /// Whether all steps were done.
     pub finished: bool,
-    /// Folder of the best weights, if an epoch has ended.
+    /// Folder of the newest weights, [`files::LAST`], if an epoch has ended that makes some.
     pub weights: Option<PathBuf>,
     /// Where the run stands.
     pub progress: Progress,
@@ -192,8 +192,8 @@ pub mod files {
     pub const CHECKPOINTS: &str = "checkpoints";
     /// The best weights by validation.
     pub const WEIGHTS: &str = "weights";
-    /// The weights after the newest epoch. Validation knows trials that others proposed; what the network itself
-    /// proposes may go on getting better when that does not.
+    /// The weights after the newest epoch: those to take. Validation knows trials that others proposed; what the network
+    /// itself proposes goes on getting better when that does not (`weights/EXPERIMENTS.md`).
     pub const LAST: &str = "last";
 }
 
@@ -283,8 +283,7 @@ impl Run<'_> {
     }
 
     fn outcome(&self, finished: bool) -> Outcome {
-        let looks_only = self.config.phase(self.config.steps() - 1) == Phase::Look;
-        let weights = self.out.join(if looks_only { files::LAST } else { files::WEIGHTS });
+        let weights = self.out.join(files::LAST);
         Outcome {
             finished,
             weights: weights.is_dir().then_some(weights),

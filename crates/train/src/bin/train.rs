@@ -178,6 +178,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
         judge(&config, &weights, args, &out, &stop)?;
     }
     println!("weights: {}", weights.display());
+    if out.join(files::WEIGHTS).is_dir() {
+        println!("         {} (best by validation)", out.join(files::WEIGHTS).display());
+    }
     println!("curves:  {}", out.join(files::CURVES).display());
     let input = if config.network.modality == Modality::Rgb {
         "examples/cabinet.png"
