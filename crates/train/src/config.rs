@@ -225,8 +225,8 @@ pub enum Optimiser {
     /// Adam for all parameters (the paper).
     #[default]
     Adam,
-    /// Muon (Jordan et al., 2024) for the linear layers of a backbone for scans, with steps about as large as Adam's;
-    /// Adam for the rest. The U-Net has no such layers.
+    /// Muon (Jordan et al., 2024) for the weights of the backbone's layers, with steps about as large as Adam's; Adam for
+    /// the rest.
     Muon,
 }
 

@@ -17,6 +17,7 @@ mod curves;
 mod dataset;
 pub mod evaluate;
 pub mod metrics;
+mod muon;
 pub mod probes;
 mod questions;
 mod replay;

@@ -13,6 +13,7 @@ use where2act_model::{Modality, ModelConfig, Network, Weights};
 use crate::checkpoint;
 use crate::config::{Optimiser, TrainConfig};
 use crate::dataset::{DataError, Dataset, SceneId};
+use crate::muon::KernelMuon;
 use crate::probes::Learner;
 use crate::replay::Replay;
 use crate::run::{TrainError, files, io};
@@ -24,10 +25,10 @@ pub(crate) fn optimiser(config: &TrainConfig) -> ModuleOptimizer {
     match config.schedule.optimiser {
         Optimiser::Adam => adam,
         Optimiser::Muon => {
-            let linear = ParamGroup::from_predicates(vec!["backbone", "linear.weight"]);
+            let weights = ParamGroup::from_predicates(vec!["backbone", ".weight"]);
             let muon =
                 MuonConfig::new().with_weight_decay(Some(decay)).with_adjust_lr_fn(AdjustLrFn::MatchRmsAdamW);
-            adam.with_group(linear, muon.build(), None)
+            adam.with_group(weights, KernelMuon(muon.build()), None)
         }
     }
 }

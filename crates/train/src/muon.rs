@@ -1,0 +1,57 @@
+//! Muon for convolutions too.
+
+use burn::optim::{Muon, MuonState, Optimizer};
+use burn::tensor::{Device, Tensor};
+
+/// Muon, to which a kernel `[out, in, height, width]` is the matrix `[out, in * height * width]`.
+#[derive(Clone)]
+pub(crate) struct KernelMuon(pub(crate) Muon);
+
+impl Optimizer for KernelMuon {
+    type State<const D: usize> = MuonState<2>;
+
+    fn step<const D: usize>(
+        &self,
+        rate: f64,
+        weight: Tensor<D>,
+        gradient: Tensor<D>,
+        state: Option<MuonState<2>>,
+    ) -> (Tensor<D>, Option<MuonState<2>>) {
+        let shape = weight.dims();
+        let rows = shape.first().map_or(1, |&rows| rows as i32);
+        let matrix = |tensor: Tensor<D>| tensor.reshape([rows, -1]);
+        let (weight, state) = self.0.step::<2>(rate, matrix(weight), matrix(gradient), state);
+        (weight.reshape(shape), state)
+    }
+
+    fn to_device<const D: usize>(state: MuonState<2>, device: &Device) -> MuonState<2> {
+        Muon::to_device::<2>(state, device)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use burn::optim::MuonConfig;
+    use burn::tensor::TensorData;
+
+    #[test]
+    fn a_kernel_moves_as_its_matrix_does() {
+        let numbers =
+            |seed: usize| (0..48).map(|i| ((i * 37 + seed) % 19) as f32 / 19.0 - 0.5).collect::<Vec<_>>();
+        let kernel =
+            |seed| Tensor::<4>::from_data(TensorData::new(numbers(seed), [4, 3, 2, 2]), &Device::flex());
+        let matrix = |seed| Tensor::<2>::from_data(TensorData::new(numbers(seed), [4, 12]), &Device::flex());
+        let muon = MuonConfig::new().build();
+        let (mut kernels, mut matrices) = ((kernel(1), None), (matrix(1), None));
+        for step in 2..4 {
+            kernels = KernelMuon(muon.clone()).step(0.1, kernels.0, kernel(step), kernels.1);
+            matrices = muon.step(0.1, matrices.0, matrix(step), matrices.1);
+        }
+        assert_eq!(kernels.0.dims(), [4, 3, 2, 2]);
+        let values = |data: TensorData| data.convert::<f32>().as_slice::<f32>().unwrap().to_vec();
+        let (found, expected) = (values(kernels.0.into_data()), values(matrices.0.into_data()));
+        assert_eq!(found, expected);
+        assert_ne!(found, numbers(1));
+    }
+}
