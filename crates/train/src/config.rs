@@ -21,10 +21,11 @@ pub struct TrainConfig {
     /// Weights to start from instead of random ones: the folder of a network of the same shape, e.g. `weights/cloud`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<PathBuf>,
-    /// The folder of an earlier run on the same data, whose newest online trials, as many as `adaptive.buffer` holds, this
-    /// run begins with. Give it another seed: with the same one it repeats that run's random trials.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub replay: Option<PathBuf>,
+    /// Folders of earlier runs on the same data, of either modality, whose newest online trials, as many as `adaptive.buffer`
+    /// holds, this run begins with; those of the last one are the newest. Give it a seed that none of them had: with the
+    /// same one it repeats that run's random trials.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub replay: Vec<PathBuf>,
     /// A ResNet-18 under torchvision's names, safetensors or PyTorch's own format, to start the encoder of a network for
     /// pictures from instead of random weights; everything else starts at random. Of width 1, as ResNet-18 is.
     #[serde(default, skip_serializing_if = "Option::is_none")]

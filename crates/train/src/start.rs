@@ -65,19 +65,20 @@ pub(crate) fn first_weights(
     Ok(Learner::new(network, &config.loss, seed))
 }
 
-/// The newer trials to begin with: none, or those of the run that the configuration names.
+/// The newer trials to begin with: those of the runs that the configuration names.
 pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Replay, TrainError> {
     let mut trials = Replay::new(config.adaptive.buffer);
-    let Some(run) = &config.replay else { return Ok(trials) };
-    let (path, checkpoints) = (run.join(files::CONFIG), run.join(files::CHECKPOINTS));
-    let text = fs::read_to_string(&path).map_err(|e| io(&path, e))?;
-    let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
-    let newest = newest.ok_or_else(|| io(&checkpoints, std::io::ErrorKind::NotFound.into()))?;
-    let (theirs, progress) = checkpoint::without_weights(&newest)?;
-    if progress.fingerprint != checkpoint::fingerprint(&text, &manifest(dataset)?) {
-        return Err(TrainError::OtherData { path: run.clone() });
+    for run in &config.replay {
+        let (path, checkpoints) = (run.join(files::CONFIG), run.join(files::CHECKPOINTS));
+        let text = fs::read_to_string(&path).map_err(|e| io(&path, e))?;
+        let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
+        let newest = newest.ok_or_else(|| io(&checkpoints, std::io::ErrorKind::NotFound.into()))?;
+        let (theirs, progress) = checkpoint::without_weights(&newest)?;
+        if progress.fingerprint != checkpoint::fingerprint(&text, &manifest(dataset)?) {
+            return Err(TrainError::OtherData { path: run.clone() });
+        }
+        trials.extend(theirs);
     }
-    trials.extend(theirs);
     Ok(trials)
 }
 

@@ -21,7 +21,7 @@ fn config(modality: Modality) -> TrainConfig {
         name: "gradients".to_owned(),
         seed: 5,
         from: None,
-        replay: None,
+        replay: vec![],
         encoder: None,
         network: NetworkConfig {
             modality,

@@ -2,7 +2,7 @@
 
 mod boards;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -28,7 +28,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
         name: "test".to_owned(),
         seed: 3,
         from: None,
-        replay: None,
+        replay: vec![],
         encoder: None,
         network: NetworkConfig {
             modality: Modality::Cloud,
@@ -291,7 +291,7 @@ fn a_run_that_leaves_the_road_names_what_to_go_on_from() {
 }
 
 #[test]
-fn a_run_may_begin_with_the_trials_of_another() {
+fn a_run_may_begin_with_the_trials_of_others() {
     let folder = tempfile::tempdir().unwrap();
     let data = data(&folder.path().join("data"), 8);
     let scene = data.scenes(Part::Train).unwrap()[0];
@@ -303,12 +303,20 @@ fn a_run_may_begin_with_the_trials_of_another() {
         on_epoch: &mut |_| vec![(scene, trials[..5].to_vec())],
     };
     train(&config(0, 6), Arc::clone(&data), &first, &Device::flex(), control).unwrap();
-    let further = TrainConfig { replay: Some(first.clone()), ..config(0, 1) };
-    train_for(&further, &data, &second, usize::MAX).unwrap();
-    let newest = checkpoint::list(&second.join(files::CHECKPOINTS)).unwrap().pop().unwrap();
-    let held = checkpoint::without_weights(&newest).unwrap().0;
-    assert_eq!(held.trials(scene).collect::<Vec<_>>(), trials[..5]);
+    let after = |runs: &[&PathBuf]| TrainConfig {
+        replay: runs.iter().map(|&run| run.clone()).collect(),
+        ..config(0, 1)
+    };
+    let held = |run: &Path| {
+        let newest = checkpoint::list(&run.join(files::CHECKPOINTS)).unwrap().pop().unwrap();
+        checkpoint::without_weights(&newest).unwrap().0.trials(scene).collect::<Vec<_>>()
+    };
+    train_for(&after(&[&first]), &data, &second, usize::MAX).unwrap();
+    assert_eq!(held(&second), trials[..5]);
+    let both = folder.path().join("both");
+    train_for(&after(&[&first, &second]), &data, &both, usize::MAX).unwrap();
+    assert_eq!(held(&both), [&trials[..5], &trials[..5]].concat());
     let other = self::data(&folder.path().join("other"), 16);
-    let error = train_for(&further, &other, &folder.path().join("third"), 1).unwrap_err();
+    let error = train_for(&after(&[&first]), &other, &folder.path().join("third"), 1).unwrap_err();
     assert!(matches!(&error, TrainError::OtherData { path } if *path == first), "{error}");
 }

@@ -65,10 +65,10 @@ struct Args {
     /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own.
     #[arg(long)]
     from: Option<PathBuf>,
-    /// Folder of an earlier run on the same data, to begin with the trials that it made between epochs. Give this run
-    /// another seed: with the same one it repeats that run's random trials.
-    #[arg(long)]
-    replay: Option<PathBuf>,
+    /// Folder of an earlier run on the same data, of either modality, to begin with the trials that it made between epochs;
+    /// may be given several times. Give this run another seed: with the same one it repeats that run's random trials.
+    #[arg(long, value_name = "RUN")]
+    replay: Vec<PathBuf>,
     /// ResNet-18 under torchvision's names (.pth or .safetensors) to start the encoder from: pictures, width 1.
     #[arg(long, value_name = "FILE", conflicts_with = "from")]
     encoder: Option<PathBuf>,
@@ -200,8 +200,8 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
     if let Some(from) = &args.from {
         config.from = Some(from.clone());
     }
-    if let Some(replay) = &args.replay {
-        config.replay = Some(replay.clone());
+    if !args.replay.is_empty() {
+        config.replay.clone_from(&args.replay);
     }
     if let Some(encoder) = &args.encoder {
         config.encoder = Some(encoder.clone());
@@ -233,10 +233,10 @@ fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
     if let Some(encoder) = &config.encoder {
         Tensors::read(encoder).context("--encoder")?;
     }
-    if let Some(run) = &config.replay
-        && checkpoint::list(&run.join(files::CHECKPOINTS))?.is_empty()
-    {
-        bail!("--replay {}: no checkpoints, expected the folder of a run", run.display());
+    for run in &config.replay {
+        if checkpoint::list(&run.join(files::CHECKPOINTS))?.is_empty() {
+            bail!("--replay {}: no checkpoints, expected the folder of a run", run.display());
+        }
     }
     Ok(())
 }
