@@ -127,7 +127,7 @@ impl Predictor {
         let looked = Instant::now();
         let logits = self.heads.actionability(&features, &prepared.shown())?;
         let codes = self.heads.codes(options.samples, options.seed);
-        let values: Vec<f32> = logits.par_iter().with_min_len(4096).map(|&logit| sigmoid(logit)).collect();
+        let values = sigmoids(&logits);
         let known = Known {
             prepared: &prepared,
             features: &features,
@@ -251,19 +251,37 @@ impl Predictor {
                 })
             })
             .collect();
-        let rows = prepared.places.rows();
-        let (mut max, mut sum) = (0.0f32, 0.0f64);
-        for value in rows.iter().map(|&row| value(row)) {
-            max = max.max(value);
-            sum += f64::from(value);
-        }
-        let mean = (sum / rows.len().max(1) as f64) as f32;
-        Ok(PrimitivePrediction {
-            primitive,
-            actionability: ActionabilitySummary { max, mean, map: None },
-            proposals,
-        })
+        let actionability = summary(prepared.places.rows(), value);
+        Ok(PrimitivePrediction { primitive, actionability, proposals })
     }
+}
+
+/// Numbers that the loops below work on at once.
+const BLOCK: usize = 4096;
+
+/// [`sigmoid`] of every logit.
+fn sigmoids(logits: &[f32]) -> Vec<f32> {
+    let mut values = vec![0.0; logits.len()];
+    let blocks = values.par_chunks_mut(BLOCK).zip(logits.par_chunks(BLOCK));
+    blocks.for_each(|(values, logits)| {
+        values.iter_mut().zip(logits).for_each(|(value, &logit)| *value = sigmoid(logit));
+    });
+    values
+}
+
+/// Greatest and mean value of some rows.
+fn summary(rows: &[u32], value: impl Fn(u32) -> f32) -> ActionabilitySummary {
+    // Eight sums, so that no addition waits for the one before it.
+    let (mut greatest, mut sums) = ([0.0f32; 8], [0.0f64; 8]);
+    for some in rows.chunks(8) {
+        for ((greatest, sum), &row) in greatest.iter_mut().zip(&mut sums).zip(some) {
+            let value = value(row);
+            *greatest = greatest.max(value);
+            *sum += f64::from(value);
+        }
+    }
+    let mean = (sums.iter().sum::<f64>() / rows.len().max(1) as f64) as f32;
+    ActionabilitySummary { max: greatest.into_iter().fold(0.0, f32::max), mean, map: None }
 }
 
 /// What decoding of every primitive starts from.

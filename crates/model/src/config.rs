@@ -62,6 +62,9 @@ pub struct ModelConfig {
     pub features: usize,
     /// Size of the one hidden layer of every head. Published: 128.
     pub hidden: usize,
+    /// Another size for that of the actionability, which runs at every pixel or point instead of at candidates only.
+    /// Published: none.
+    pub actionability_hidden: Option<usize>,
     /// Numbers of the proposal's random code z. Published: 10.
     pub latent: usize,
     /// Points of a cloud. Published: 10,000. Ignored for pictures.
@@ -102,6 +105,7 @@ impl ModelConfig {
             width: 1.0,
             features: 128,
             hidden: 128,
+            actionability_hidden: None,
             latent: 10,
             points: 10_000,
             surroundings: false,
@@ -129,6 +133,12 @@ impl ModelConfig {
         self.primitives.iter().position(|p| *p == primitive)
     }
 
+    /// Size of the actionability's hidden layer.
+    #[must_use]
+    pub fn hidden_of_actionability(&self) -> usize {
+        self.actionability_hidden.unwrap_or(self.hidden)
+    }
+
     /// Channels of the U-Net's four levels: 64, 128, 256, 512 times the width.
     #[must_use]
     pub fn channels(&self) -> [usize; 4] {
@@ -154,6 +164,8 @@ impl ModelConfig {
         check((0.05..=4.0).contains(&self.width), "width", self.width.to_string(), "a number in [0.05, 4]")?;
         check(small(self.features), "features", self.features.to_string(), "a number in 1..=4096")?;
         check(small(self.hidden), "hidden", self.hidden.to_string(), "a number in 1..=4096")?;
+        let own = self.hidden_of_actionability();
+        check(small(own), "actionability_hidden", own.to_string(), "a number in 1..=4096")?;
         check(small(self.latent), "latent", self.latent.to_string(), "a number in 1..=4096")?;
         let few = self.alignments <= 1024;
         check(few, "alignments", self.alignments.to_string(), "a number up to 1024")?;
@@ -186,6 +198,8 @@ struct RawModelConfig {
     width: f32,
     features: usize,
     hidden: usize,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    actionability_hidden: Option<usize>,
     latent: usize,
     points: usize,
     #[serde(default)]
@@ -217,6 +231,7 @@ impl From<ModelConfig> for RawModelConfig {
             width,
             features,
             hidden,
+            actionability_hidden,
             latent,
             points,
             surroundings,
@@ -233,6 +248,7 @@ impl From<ModelConfig> for RawModelConfig {
             width,
             features,
             hidden,
+            actionability_hidden,
             latent,
             points,
             surroundings,
@@ -251,6 +267,7 @@ impl TryFrom<RawModelConfig> for ModelConfig {
         let RawModelConfig {
             features,
             hidden,
+            actionability_hidden,
             latent,
             points,
             surroundings,
@@ -266,6 +283,7 @@ impl TryFrom<RawModelConfig> for ModelConfig {
             width,
             features,
             hidden,
+            actionability_hidden,
             latent,
             points,
             surroundings,
@@ -291,6 +309,7 @@ mod tests {
             ("\"width\": 0.5", "\"width\": -1.0", "width is -1"),
             ("\"features\": 128", "\"features\": 0", "features is 0"),
             ("\"pushing-up\"", "\"pushing\"", "each once"),
+            ("\"hidden\": 128", "\"hidden\": 128, \"actionability_hidden\": 0", "actionability_hidden is 0"),
             ("\"image_side\": 224", "\"image_side\": 225", "image_side is 225"),
             ("model/1", "model/2", "where2act.model/1"),
             ("\"latent\"", "\"latnet\"", "latnet"),

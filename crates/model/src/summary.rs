@@ -155,14 +155,14 @@ fn pointnet(config: &ModelConfig) -> Vec<Block> {
 
 fn heads(config: &ModelConfig) -> Vec<Block> {
     let (f, h, p, z) = (config.features, config.hidden, config.primitives.len(), config.latent);
-    let a = config.alignments;
+    let (a, dense) = (config.alignments, config.hidden_of_actionability());
     let rows = match config.modality {
         Modality::Rgb => config.preprocessing.image_side.pow(2),
         Modality::Cloud => config.points,
     };
     let head = |input, output| Count::default().linear(input, h, 1, rows).linear(h, output, 1, rows);
     let mut blocks = vec![
-        head(f, p).block("heads.actionability"),
+        Count::default().linear(f, dense, 1, rows).linear(dense, p, 1, rows).block("heads.actionability"),
         head(f + 6 + a, p).linear(f, ALIGNED * a, usize::from(a > 0), rows).block("heads.score"),
         head(f + z, 6 * p).block("heads.proposal.decoder"),
         head(f + 6, p * z).linear(h, p * z, 1, rows).block("heads.proposal.encoder"),

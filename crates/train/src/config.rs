@@ -63,6 +63,9 @@ pub struct NetworkConfig {
     /// Hidden units of each head; the paper's is 128.
     #[serde(default = "published_hidden")]
     pub hidden: usize,
+    /// Hidden units of the actionability alone, which runs at every pixel, if not as many as in the other heads.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub actionability_hidden: Option<usize>,
     /// Numbers of the proposals' random code; the paper's is 10.
     #[serde(default = "published_latent")]
     pub latent: usize,
@@ -379,6 +382,7 @@ impl TrainConfig {
         }
         model.name.clone_from(&self.name);
         model.hidden = n.hidden;
+        model.actionability_hidden = n.actionability_hidden;
         model.latent = n.latent;
         model.alignments = n.alignments;
         model.surroundings = n.surroundings && n.modality == Modality::Cloud;

@@ -49,12 +49,14 @@ pub(crate) fn first_weights(
         return Ok(Learner::new(network, &config.loss, seed));
     };
     let network = Weights::load(folder, device)?.network;
-    // What does not change the shape of any parameter may differ, and a second look may be added.
+    // What does not change the shape of any parameter may differ, a second look may be added, and the actionability may be
+    // of another size: it follows from the others and is soon learnt.
     let found = network.config().clone();
     let comparable = ModelConfig {
         name: model.name.clone(),
         points: model.points,
         preprocessing: model.preprocessing.clone(),
+        actionability_hidden: model.actionability_hidden,
         second_look: found.second_look || model.second_look,
         ..found
     };

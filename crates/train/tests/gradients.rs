@@ -28,6 +28,7 @@ fn config(modality: Modality) -> TrainConfig {
             primitives: vec![Primitive::Pulling, Primitive::Pushing],
             width: 0.125,
             hidden: 24,
+            actionability_hidden: None,
             latent: 4,
             points: 256,
             candidates: 1024,

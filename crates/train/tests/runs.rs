@@ -35,6 +35,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             primitives: vec![Primitive::Pushing],
             width: 1.0,
             hidden: 32,
+            actionability_hidden: None,
             latent: 4,
             points: 256,
             surroundings: false,
@@ -160,6 +161,15 @@ fn a_run_may_start_from_weights() {
     let less = TrainConfig { from: Some(weights.clone()), ..without };
     let error = train_for(&less, &data, &folder.path().join("less"), 1).unwrap_err();
     assert!(matches!(error, TrainError::OtherNetwork { .. }), "{error}");
+    // An actionability of another size is learnt anew, everything else stays.
+    let mut leaner = further.clone();
+    leaner.network.actionability_hidden = Some(16);
+    let (leaner, _) = train_for(&leaner, &data, &folder.path().join("leaner"), usize::MAX).unwrap();
+    let leaner = tensors(&leaner.weights.unwrap());
+    assert_eq!(leaner["heads.actionability.mlp1.weight"].shape[0], 16);
+    let other = |name: &str| before.get(name) != leaner.get(name);
+    let changed: Vec<_> = before.keys().filter(|name| own(name) && other(name)).collect();
+    assert!(changed.iter().all(|name| name.starts_with("heads.actionability.")), "{changed:?}");
     let mut other = further;
     other.network.hidden = 48;
     let error = train_for(&other, &data, &folder.path().join("other"), 1).unwrap_err();

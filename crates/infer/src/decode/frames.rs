@@ -25,9 +25,9 @@ pub(super) fn axes(raw: &[f32]) -> Vec<f32> {
 
 /// One of the rotations of such axes.
 pub(super) fn rotation(axes: &[f32], sample: usize) -> Rotation3<f32> {
-    let mut of_sample = axes.iter().skip(sample).step_by((axes.len() / 9).max(1)).copied();
-    let [approach, forward, left] =
-        std::array::from_fn(|_| Vector3::from_fn(|_, _| of_sample.next().unwrap_or(0.0)));
+    let n = axes.len() / 9;
+    let number = |i: usize| axes.get(i * n + sample).copied().unwrap_or(0.0);
+    let [approach, forward, left] = [0, 3, 6].map(|i| Vector3::new(number(i), number(i + 1), number(i + 2)));
     Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[forward, left, approach]))
 }
 

@@ -86,13 +86,14 @@ impl DecodingHeads {
         let (isa, hidden) = (Isa::best(), config.hidden.next_multiple_of(16));
         let features = last.map_or(config.features, |last| last.weights.len() / last.bias.len().max(1));
         let primitives = config.primitives.len();
-        let first = |linear: &Linear| -> Result<(Plain, Vec<f32>), Error> {
+        let first = |linear: &Linear, hidden: usize| -> Result<(Plain, Vec<f32>), Error> {
             Ok(Plain::of(linear)?.widened(hidden).after(last).split(features))
         };
-        let (actionability, _) = first(&heads.actionability.mlp1)?;
-        let (proposal_feature, code) = first(&heads.proposal.decoder.mlp1.linear)?;
-        let (score_feature, hand) = first(&heads.score.mlp1.linear)?;
-        let logits = Output::of(&heads.actionability.mlp2, 1, hidden)?;
+        let dense = config.hidden_of_actionability().next_multiple_of(16);
+        let (actionability, _) = first(&heads.actionability.mlp1, dense)?;
+        let (proposal_feature, code) = first(&heads.proposal.decoder.mlp1.linear, hidden)?;
+        let (score_feature, hand) = first(&heads.score.mlp1.linear, hidden)?;
+        let logits = Output::of(&heads.actionability.mlp2, 1, dense)?;
         Ok(Self {
             isa,
             features,
@@ -164,10 +165,11 @@ impl DecodingHeads {
                 net.columns(self.isa, &[], Some(&codes.table), &mut raw).map_err(failed)?;
                 let axes = frames::axes(&raw);
                 let seen = axes.get(..one / self.hidden * columns).unwrap_or_default();
-                let mut logits = vec![0.0; columns];
+                let mut scores = vec![0.0; columns];
                 let net = score.after(hand, of_scores);
-                net.columns(self.isa, seen, None, &mut logits).map_err(failed)?;
-                let tried = logits.iter().map(|&logit| sigmoid(logit)).take(codes.samples).enumerate();
+                net.columns(self.isa, seen, None, &mut scores).map_err(failed)?;
+                scores.iter_mut().for_each(|logit| *logit = sigmoid(*logit));
+                let tried = scores.into_iter().take(codes.samples).enumerate();
                 Ok(tried.map(|(sample, score)| (frames::rotation(&axes, sample), score)).collect())
             })
             .collect()

@@ -16,6 +16,7 @@ pub(crate) use select::{Scored, select};
 
 /// 1 / (1 + exp(-x)), to some 3e-7. The library's exponential would be called number by number, a quarter of a million times
 /// a picture; this one is arithmetic that the compiler does in vectors.
+#[inline]
 pub(crate) fn sigmoid(logit: f32) -> f32 {
     // 1.5 * 2^23: what is added to it is rounded to a whole number, which then stands in the lowest bits.
     const ROUND: f32 = 12_582_912.0;

@@ -82,9 +82,10 @@ fn check(network: &Network, last: Option<&LastLayer>, rows: &[f32], candidates: 
 #[test]
 fn decoding_equals_the_heads_of_the_model() {
     let noise = |n: usize| (0..n).map(|i| ((i * 37 % 101) as f32 / 50.0 - 1.0).powi(3)).collect::<Vec<_>>();
-    for (hidden, alignments) in [(40, 5), (40, 0), (256, 16)] {
+    for (hidden, alignments, dense) in [(40, 5, None), (40, 0, Some(24)), (256, 16, Some(64))] {
         let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL[1..4]);
         (config.hidden, config.latent, config.alignments) = (hidden, 7, alignments);
+        config.actionability_hidden = dense;
         let network = Network::new(&config, Seed(3), &Device::flex());
         check(&network, None, &noise(50 * 128), &[49, 3]);
         let last = LastLayer { weights: noise(32 * 128), bias: noise(128) };

@@ -18,9 +18,10 @@ pub struct ActionabilityHead {
 
 impl ActionabilityHead {
     pub(crate) fn new(config: &ModelConfig, device: &Device) -> Self {
+        let hidden = config.hidden_of_actionability();
         Self {
-            mlp1: linear(config.features, config.hidden, true, device),
-            mlp2: linear(config.hidden, config.primitives.len(), true, device),
+            mlp1: linear(config.features, hidden, true, device),
+            mlp2: linear(hidden, config.primitives.len(), true, device),
         }
     }
 

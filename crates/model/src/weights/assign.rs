@@ -29,12 +29,17 @@ impl Network {
         self.assign(tensors, |_| true)
     }
 
-    /// This network with the parameters of another one that may lack some of its blocks: theirs stay as they are.
+    /// This network with the parameters of another one. Blocks that it lacks stay as they are, and so does the actionability
+    /// if its hidden layer has another size there.
     ///
     /// # Errors
     /// As [`Self::with_tensors`], but for missing tensors.
     pub fn with_tensors_of(self, other: &Self) -> Result<Self, WeightsError> {
-        self.assign(&other.tensors(), |_| false)
+        let mut tensors = other.tensors();
+        if other.config().hidden_of_actionability() != self.config().hidden_of_actionability() {
+            tensors.by_name.retain(|name, _| !name.starts_with("heads.actionability."));
+        }
+        self.assign(&tensors, |_| false)
     }
 
     /// This network with the parameters of `tensors`; those that are not `needed` may be missing and stay.
