@@ -1,0 +1,78 @@
+use std::fs;
+
+use nalgebra::{Point3, Unit, Vector3};
+
+use super::*;
+use crate::{Category, Grasp, ImageSize, Invalid, Pixel, Policy, Primitive, Seed, Trial, Verdict};
+
+fn scene(index: u64, trials: usize) -> SceneRecord {
+    let size = ImageSize::square(DEPTH_SIDE);
+    let camera = Camera::orbit(Point3::origin(), 5.0, index as f32, 0.6, size, Camera::PUBLISHED_FOV);
+    let grasp = Grasp::new(Point3::new(0.1, 0.2, 5.0), Vector3::z(), Vector3::x());
+    let verdict = Verdict {
+        invalid: None,
+        q_start: 0.0,
+        q_end: 0.3,
+        motion: Vector3::new(0.0, 0.0, 0.1),
+        success: true,
+    };
+    let trial = |t: usize| Trial {
+        primitive: Primitive::ALL[t % 6],
+        policy: Policy::Guided,
+        pixel: Pixel { u: t as u32, v: 447 },
+        link: 2,
+        grasp_in_camera: grasp,
+        verdict: Verdict { invalid: (t == 1).then_some(Invalid::HandFirst), success: t != 1, ..verdict },
+    };
+    SceneRecord {
+        info: SceneInfo {
+            index,
+            seed: Seed(index),
+            object: format!("Safe:{index}"),
+            category: Some(Category::Safe),
+            q: vec![0.5],
+            freedoms: vec![Freedom {
+                turns: true,
+                axis: Unit::new_normalize(Vector3::new(0.3, -0.2, 0.7)),
+                point: Point3::new(0.1, 0.7, 1.3),
+                room: [0.5, 1.1],
+            }],
+        },
+        camera,
+        rgb: vec![[index as u8, 2, 3]; RGB_PIXELS],
+        depth: (0..DEPTH_PIXELS).map(|i| (i % 60_000) as u16).collect(),
+        link: (0..DEPTH_PIXELS).map(|i| (i % 3) as u8).collect(),
+        trials: (0..trials).map(trial).collect(),
+    }
+}
+
+#[test]
+fn scenes_survive_the_disk_and_files_are_the_same_every_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenes = [scene(1, 3), scene(2, 0), scene(3, 7)];
+    let (a, b) = (folder.path().join("a"), folder.path().join("b"));
+    write_shard(&a, &scenes).unwrap();
+    write_shard(&b, &scenes).unwrap();
+    assert_eq!(fs::read(&a).unwrap(), fs::read(&b).unwrap());
+    let shard = Shard::open(&a).unwrap();
+    for (i, scene) in scenes.iter().enumerate() {
+        assert_eq!(shard.record(i).unwrap(), *scene);
+    }
+}
+
+#[test]
+fn damage_and_other_versions_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shard");
+    write_shard(&path, &[scene(1, 3)]).unwrap();
+    let good = fs::read(&path).unwrap();
+    fs::write(&path, &good[..good.len() - 1000]).unwrap();
+    assert!(matches!(Shard::open(&path), Err(ShardError::Damaged { .. })));
+    let header = String::from_utf8_lossy(&good[8..2000]).replace("format\\\":1", "format\\\":9");
+    let mut other = good.clone();
+    other[8..8 + 100].copy_from_slice(&header.as_bytes()[..100]);
+    fs::write(&path, other).unwrap();
+    assert!(matches!(Shard::open(&path), Err(ShardError::Version { .. })));
+    fs::write(&path, b"").unwrap();
+    assert!(Shard::open(&path).is_err());
+}

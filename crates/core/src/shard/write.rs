@@ -1,0 +1,104 @@
+//! Scenes to a shard.
+
+use std::collections::HashMap;
+use std::io::Write;
+use std::path::Path;
+
+use safetensors::tensor::{Dtype, TensorView};
+
+use super::{
+    DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Header, METADATA_KEY, RGB_PIXELS, RGB_SIDE, SceneRecord, ShardError,
+};
+use crate::write_whole;
+
+/// Writes scenes as one shard, whole or not at all.
+///
+/// # Errors
+/// [`ShardError::Io`]; [`ShardError::Damaged`] if a buffer of a scene has the wrong size.
+pub fn write_shard(path: &Path, scenes: &[SceneRecord]) -> Result<(), ShardError> {
+    let damaged = |why: String| ShardError::Damaged { path: path.to_owned(), why };
+    let mut columns = Columns::default();
+    for scene in scenes {
+        let sizes = (scene.rgb.len(), scene.depth.len(), scene.link.len());
+        if sizes != (RGB_PIXELS, DEPTH_PIXELS, DEPTH_PIXELS) {
+            return Err(damaged(format!("scene {}: buffers of {sizes:?} pixels", scene.info.index)));
+        }
+        columns.push(scene);
+    }
+    let header = Header { format: FORMAT, scenes: scenes.iter().map(|s| s.info.clone()).collect() };
+    let header = serde_json::to_string(&header).map_err(|e| damaged(e.to_string()))?;
+    // One entry only: the map's order is random and shards must be the same bit for bit.
+    let metadata = HashMap::from([(METADATA_KEY.to_owned(), header)]);
+    let (s, t, starts) = (scenes.len(), columns.trials, columns.starts());
+    let view = |dtype, shape: &[usize], data| {
+        TensorView::new(dtype, shape.to_vec(), data).map_err(|e| damaged(e.to_string()))
+    };
+    let tensors = [
+        ("rgb", view(Dtype::U8, &[s, RGB_SIDE, RGB_SIDE, 3], &columns.rgb)?),
+        ("depth", view(Dtype::U16, &[s, DEPTH_SIDE, DEPTH_SIDE], &columns.depth)?),
+        ("link", view(Dtype::U8, &[s, DEPTH_SIDE, DEPTH_SIDE], &columns.link)?),
+        ("camera", view(Dtype::F32, &[s, 11], &columns.camera)?),
+        ("trial_start", view(Dtype::U32, &[s + 1], &starts)?),
+        ("label", view(Dtype::U8, &[t, 5], &columns.label)?),
+        ("pixel", view(Dtype::U16, &[t, 2], &columns.pixel)?),
+        ("grasp", view(Dtype::F32, &[t, 9], &columns.grasp)?),
+        ("outcome", view(Dtype::F32, &[t, 5], &columns.outcome)?),
+    ];
+    let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| damaged(e.to_string()))?;
+    write_whole(path, |w| w.write_all(&bytes))
+        .map_err(|source| ShardError::Io { path: path.to_owned(), source })
+}
+
+/// A shard's tensors as bytes.
+#[derive(Default)]
+struct Columns {
+    rgb: Vec<u8>,
+    depth: Vec<u8>,
+    link: Vec<u8>,
+    camera: Vec<u8>,
+    ends: Vec<u32>,
+    label: Vec<u8>,
+    pixel: Vec<u8>,
+    grasp: Vec<u8>,
+    outcome: Vec<u8>,
+    trials: usize,
+}
+
+impl Columns {
+    fn push(&mut self, scene: &SceneRecord) {
+        self.rgb.extend(scene.rgb.iter().flatten());
+        self.depth.extend(scene.depth.iter().flat_map(|d| d.to_le_bytes()));
+        self.link.extend(&scene.link);
+        let (k, pose) = (scene.camera.intrinsics, scene.camera.world_from_camera);
+        let (t, q) = (pose.translation.vector, pose.rotation.coords);
+        push_f32(&mut self.camera, &[k.fx, k.fy, k.cx, k.cy, t.x, t.y, t.z, q.x, q.y, q.z, q.w]);
+        for trial in &scene.trials {
+            let (v, g) = (&trial.verdict, &trial.grasp_in_camera);
+            let invalid = v.invalid.map_or(0, |reason| reason as u8);
+            self.label.extend([
+                trial.primitive as u8,
+                trial.policy as u8,
+                trial.link,
+                invalid,
+                u8::from(v.success),
+            ]);
+            for coordinate in [trial.pixel.u, trial.pixel.v] {
+                self.pixel.extend((coordinate as u16).to_le_bytes());
+            }
+            push_f32(&mut self.grasp, g.point.coords.as_slice());
+            push_f32(&mut self.grasp, g.approach().as_slice());
+            push_f32(&mut self.grasp, g.forward().as_slice());
+            push_f32(&mut self.outcome, &[v.q_start, v.q_end, v.motion.x, v.motion.y, v.motion.z]);
+        }
+        self.trials += scene.trials.len();
+        self.ends.push(self.trials as u32);
+    }
+
+    fn starts(&self) -> Vec<u8> {
+        std::iter::once(&0u32).chain(&self.ends).flat_map(|n| n.to_le_bytes()).collect()
+    }
+}
+
+fn push_f32(bytes: &mut Vec<u8>, values: &[f32]) {
+    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+}
