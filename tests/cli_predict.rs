@@ -222,8 +222,8 @@ fn refusals_are_one_line_that_names_the_culprit() {
         (&["picture.png", "--fov", "190"], &["--fov", "190"]),
         (&["picture.png", "--intrinsics", "1,2,3"], &["--intrinsics", "four numbers", "3"]),
         (&["picture.png", "--jobs", "0"], &["--jobs", "at least 1"]),
-        (&["picture.png", "--precision", "bf16"], &["--precision", "expected f32", "found bf16", "AMX"]),
-        (&["scan.ply", "--engine", "burn", "--precision", "bf16"], &["--precision", "bf16", "AMX"]),
+        (&["scan.ply", "--engine", "burn", "--precision", "bf16"], &["--precision", "bf16", "--engine fast"]),
+        (&["scan.ply", "--device", "flex", "--precision", "bf16"], &["--precision", "bf16", "--engine fast"]),
         (&["scan.ply", "--object-scale", "-1"], &["object-scale", "-1"]),
     ];
     for (args, expected) in cases {
@@ -237,5 +237,17 @@ fn refusals_are_one_line_that_names_the_culprit() {
     bench.predict(&["picture.png", "--primitive", "kicking"]).assert().failure().code(2);
     bench.predict(&["picture.png", "--precision", "f64"]).assert().failure().code(2);
     bench.predict(&["picture.png", "--precision", "f32", "--json"]).assert().success();
+    let bf16 = |isa: &str| {
+        let run = bench
+            .predict(&["picture.png", "--precision", "bf16", "--json"])
+            .env("WHERE2ACT_ISA", isa)
+            .output();
+        let run = run.unwrap();
+        (run.status.code(), String::from_utf8_lossy(&run.stderr).into_owned())
+    };
+    let (code, refused) = bf16("portable");
+    assert!(code == Some(2) && refused.contains("expected f32, found bf16"), "{refused}");
+    let (code, refused) = bf16("best");
+    assert!(code == Some(0) || (code == Some(2) && refused.contains("AVX-512")), "{refused}");
     bench.predict(&["--help"]).assert().success();
 }

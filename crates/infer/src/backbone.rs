@@ -3,6 +3,7 @@
 use std::ops::Deref;
 
 use burn::tensor::{Device, Tensor, TensorData};
+use where2act_kernels::Isa;
 use where2act_model::preprocess::CloudInput;
 use where2act_model::{Engine, Features, LastLayer, ModelConfig, Network};
 
@@ -14,6 +15,9 @@ pub enum Backend {
     /// Kernels of this project: the fastest.
     #[default]
     Fast,
+    /// The same with convolutions that multiply in bf16 and add in f32, for processors that have it in AVX-512. Networks for
+    /// scans have no convolutions and stay in f32.
+    Bf16,
     /// burn on its flex backend.
     Flex,
     /// burn on its ndarray backend: slower, for comparison.
@@ -26,7 +30,7 @@ impl Backend {
     #[cfg_attr(feature = "ndarray", expect(deprecated, reason = "for comparison as long as burn has it"))]
     pub(crate) fn device(self) -> Device {
         match self {
-            Self::Fast | Self::Flex => Device::flex(),
+            Self::Fast | Self::Bf16 | Self::Flex => Device::flex(),
             #[cfg(feature = "ndarray")]
             Self::Ndarray => Device::ndarray(),
         }
@@ -68,8 +72,10 @@ impl Backbone {
     /// The backbone, and its last layer if that is left to the heads.
     pub(crate) fn new(network: Network, backend: Backend) -> Result<(Self, Option<LastLayer>), Error> {
         match backend {
-            Backend::Fast => {
-                let (engine, last) = Engine::open(&network).map_err(failed)?;
+            Backend::Fast | Backend::Bf16 => {
+                let isa =
+                    if backend == Backend::Bf16 { Engine::bf16().map_err(failed)? } else { Isa::best() };
+                let (engine, last) = Engine::open_for(isa, &network).map_err(failed)?;
                 Ok((Self::Fast(Box::new(engine)), last))
             }
             _ => Ok((Self::Burn(Box::new(network), backend.device()), None)),

@@ -1,20 +1,23 @@
 //! The one matrix product under every layer: rows of 16-channel blocks times packed weights.
 
 use crate::{AlignedBuf, Isa, simd::Kernel, simd::Vector};
+use half::bf16;
 use rayon::prelude::*;
 use std::ops::Range;
 
 /// Weights `[k, n]` of one or several products ("planes"), packed for an instruction set.
 ///
 /// Memory order: plane, panel of output channels, input channel, channel of the panel. A panel is two vectors
-/// wide (or 16 channels, where `n` leaves no more), which is what the micro-kernel keeps in registers.
+/// wide (or 16 channels, where `n` leaves no more), which is what the micro-kernel keeps in registers. With bf16, two
+/// input channels of a block lie together in the place of one f32.
 #[derive(Clone)]
 pub(crate) struct Panels {
     isa: Isa,
     planes: usize,
     n: usize,
+    /// Values of an output channel.
     k: usize,
-    /// Channels in use of each block of 16 input channels.
+    /// Values for each block of 16 input channels: its channels in use, or pairs of them.
     valid: Vec<usize>,
     data: AlignedBuf,
 }
@@ -29,14 +32,26 @@ impl Panels {
         weight: impl Fn(usize, usize, usize) -> f32 + Sync,
     ) -> Self {
         assert!(n.is_multiple_of(16), "output channels come in blocks of 16");
-        let k = valid.iter().sum();
+        // The channels of each value.
+        let (mut channels, mut start) = (Vec::new(), 0);
+        for &count in &valid {
+            channels.extend((start..start + count).step_by(isa.operands()).map(|k| k..start + count));
+            start += count;
+        }
+        let k = channels.len();
+        let valid = valid.into_iter().map(|count| count.div_ceil(isa.operands())).collect();
         let mut panels = Self { isa, planes, n, k, valid, data: AlignedBuf::zeros(planes * k * n) };
         let width = panels.width();
         panels.data.par_chunks_mut((k * n).max(1)).enumerate().for_each(|(plane, data)| {
             for (q, data) in data.chunks_mut((k * width).max(1)).enumerate() {
                 let wide = data.len() / k;
                 for (i, w) in data.iter_mut().enumerate() {
-                    *w = weight(plane, i / wide, q * width + i % wide);
+                    let mut weights =
+                        channels[i / wide].clone().map(|k| weight(plane, k, q * width + i % wide));
+                    *w = match isa.operands() {
+                        1 => weights.next().unwrap_or(0.0),
+                        _ => pair(std::array::from_fn(|_| weights.next().unwrap_or(0.0))),
+                    };
                 }
             }
         });
@@ -70,6 +85,12 @@ impl Panels {
     }
 }
 
+/// Two bf16 in the place of an f32, the first in its lower half.
+fn pair(values: [f32; 2]) -> f32 {
+    let [low, high] = values.map(|x| u32::from(bf16::from_f32(x).to_bits()));
+    f32::from_bits(low | high << 16)
+}
+
 /// A matrix of `[plane][block of 16 channels][row][16]`.
 #[derive(Clone, Copy)]
 pub(crate) struct Rows<P> {
@@ -87,7 +108,8 @@ impl Rows<*mut f32> {
     }
 }
 
-/// `output = max(bias + input * weights, low)` for some panels of all planes.
+/// `output = max(bias + input * weights, low)` for some panels of all planes. The input was stored as operands
+/// ([`Vector::store_operands`]).
 ///
 /// `input` and `output` must be valid for `rows` rows of all blocks (for the output: those of the panels,
 /// counted from the first of them) and all planes, and not overlap; `bias` for `n` values.
@@ -201,7 +223,7 @@ unsafe fn micro<V: Vector, const ROWS: usize, const WIDE: usize>(tile: Tile<'_>)
                 for (row, sum) in sum.iter_mut().enumerate() {
                     let x = V::splat(*x.add(row * 16 + i));
                     for (sum, weight) in sum.iter_mut().zip(weights) {
-                        *sum = x.fma(weight, *sum);
+                        *sum = x.multiply_add(weight, *sum);
                     }
                 }
             }

@@ -89,7 +89,7 @@ impl Mlp {
             ShapeError::check("weights of a layer", width * outputs, layer.weights.len())?;
             let padded = outputs.next_multiple_of(16);
             let valid = (0..width.div_ceil(16)).map(|b| (width - 16 * b).min(16)).collect();
-            let weights = Panels::pack(isa, 1, valid, padded, |_, k, n| {
+            let weights = Panels::pack(isa.exact(), 1, valid, padded, |_, k, n| {
                 if n < outputs { layer.weights[k * outputs + n] } else { 0.0 }
             });
             let mut bias = AlignedBuf::zeros(padded);

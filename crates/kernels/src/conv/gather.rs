@@ -98,7 +98,7 @@ impl Gather<'_> {
                             } else {
                                 zero
                             };
-                            value.store(to.add(row * 16 + lane));
+                            value.store_operands(to.add(row * 16 + lane));
                         }
                         tx += 1;
                         if tx == self.grid.1 {
@@ -169,7 +169,7 @@ impl Gather<'_> {
             }
             for (y, row) in half.iter().enumerate().take(W::N) {
                 for (x, value) in W::input(*row).iter().enumerate().take(W::N) {
-                    value.store(to.add((y * W::N + x) * self.to.plane));
+                    value.store_operands(to.add((y * W::N + x) * self.to.plane));
                 }
             }
         }

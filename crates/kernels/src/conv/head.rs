@@ -64,6 +64,8 @@ impl Conv {
         let up = matches!(self.form, Form::UpDirect | Form::UpWinograd);
         ShapeError::check("upsampling before a head", 0, usize::from(up))?;
         ShapeError::check("inputs of a head", self.outputs(), head.inputs)?;
+        let other = usize::from(head.weights.isa() != self.weights.isa());
+        ShapeError::check("heads compiled for another instruction set", 0, other)?;
         let (height, width) = self.form.output_size((height, width));
         ShapeError::check("values of a head", images * height * width * head.outputs(), output.len())?;
         let run = self.prepare(inputs, Place::Tiles { at: std::ptr::null_mut(), plane: 0 }, true);

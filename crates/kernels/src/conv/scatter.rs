@@ -21,7 +21,8 @@ pub(super) enum Place {
         height: usize,
         width: usize,
     },
-    /// Into a small buffer `[block][tile][pixel of the tile][16]`, pixels outside the picture included.
+    /// Into a small buffer `[block][tile][pixel of the tile][16]`, pixels outside the picture included, as operands of the
+    /// next matrix product.
     Tiles { at: *mut f32, plane: usize },
 }
 
@@ -49,6 +50,8 @@ pub(super) struct Scatter {
 struct Spot {
     at: *mut f32,
     add: Option<*const f32>,
+    /// Whether the pixels are stored as operands.
+    operands: bool,
     row: usize,
     pixel: usize,
     /// First and past-the-last row and column of the tile inside the picture.
@@ -118,6 +121,7 @@ impl Scatter {
             Place::Tiles { at, plane } => Spot {
                 at: at.wrapping_add(block * plane + row * side * side * 16),
                 add: None,
+                operands: true,
                 row: side * 16,
                 pixel: 16,
                 rows: (0, side),
@@ -143,6 +147,7 @@ impl Scatter {
                 Spot {
                     at: at.wrapping_offset(offset),
                     add: add.map(|add| add.wrapping_offset(offset)),
+                    operands: false,
                     row: step * width * 16,
                     pixel: step * 16,
                     rows: range(y, height),
@@ -196,7 +201,12 @@ unsafe fn write<V: Vector>(
                 if let Some(add) = spot.add {
                     value = value.add(V::load(add.wrapping_add(at)));
                 }
-                value.max(low).store(spot.at.wrapping_add(at));
+                let (value, to) = (value.max(low), spot.at.wrapping_add(at));
+                if spot.operands {
+                    value.store_operands(to);
+                } else {
+                    value.store(to);
+                }
             }
         }
     }

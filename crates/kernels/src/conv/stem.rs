@@ -219,7 +219,7 @@ impl Kernel for Windows<'_> {
                     unsafe {
                         let to = self.to.at.add((ky * blocks + block) * self.to.block + row * 16);
                         for lane in (0..16).step_by(V::LANES) {
-                            V::load(values.as_ptr().add(lane)).store(to.add(lane));
+                            V::load(values.as_ptr().add(lane)).store_operands(to.add(lane));
                         }
                     }
                 }

@@ -5,7 +5,7 @@ use std::arch::x86_64::*;
 
 /// 16 lanes.
 #[derive(Clone, Copy)]
-pub(super) struct F32x16(__m512);
+pub(super) struct F32x16(pub(super) __m512);
 
 /// Runs a kernel compiled for AVX-512. All four features belong together: with `avx512f` alone the compiler
 /// spills the accumulators of the matrix product.

@@ -1,7 +1,7 @@
 //! Vectors of f32 behind one trait.
 //!
 //! An algorithm is written once, against [`Vector`], inside the `run` of a [`Kernel`]. [`Isa::run`] compiles
-//! it three times: for AVX-512, for AVX2 with FMA, and for any CPU. Everything between `run` and the vector
+//! it for AVX-512, once more with products of bf16, for AVX2 with FMA, and for any CPU. Everything between `run` and the vector
 //! operations must be `#[inline(always)]`: only code inlined into the function that carries
 //! `#[target_feature]` is compiled with those features.
 
@@ -9,6 +9,8 @@
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod bf16;
 mod portable;
 
 use crate::isa::{Isa, Level};
@@ -38,6 +40,20 @@ pub(crate) trait Vector: Copy {
     /// As [`Vector::store`], and `to` is aligned to the vector's size. Call [`fence`](Vector::fence) before
     /// another thread reads it.
     unsafe fn stream(self, to: *mut f32);
+    /// Stores 16 or fewer channels of a row as operands of a matrix product: bf16 take the first half of the place.
+    ///
+    /// # Safety
+    /// As [`Vector::store`].
+    #[inline(always)]
+    unsafe fn store_operands(self, to: *mut f32) {
+        // SAFETY: the caller's promise.
+        unsafe { self.store(to) }
+    }
+    /// `c` and the products of the operands in each lane.
+    #[inline(always)]
+    fn multiply_add(self, b: Self, c: Self) -> Self {
+        self.fma(b, c)
+    }
     /// Makes streamed values visible to other threads in order.
     fn fence(self);
     fn add(self, b: Self) -> Self;
@@ -82,11 +98,16 @@ impl Isa {
     pub(crate) fn lanes(self) -> usize {
         match self.level() {
             #[cfg(target_arch = "x86_64")]
-            Level::Avx512 => avx512::F32x16::LANES,
+            Level::Avx512 | Level::Bf16 => avx512::F32x16::LANES,
             #[cfg(target_arch = "x86_64")]
             Level::Avx2 => avx2::F32x8::LANES,
             Level::Portable => portable::F32x8::LANES,
         }
+    }
+
+    /// Operands of a matrix product in a lane of these vectors.
+    pub(crate) fn operands(self) -> usize {
+        if self == self.exact() { 1 } else { 2 }
     }
 
     /// Runs a kernel with this instruction set's vectors.
@@ -99,6 +120,8 @@ impl Isa {
             match self.level() {
                 #[cfg(target_arch = "x86_64")]
                 Level::Avx512 => avx512::run(kernel),
+                #[cfg(target_arch = "x86_64")]
+                Level::Bf16 => bf16::run(kernel),
                 #[cfg(target_arch = "x86_64")]
                 Level::Avx2 => avx2::run(kernel),
                 Level::Portable => kernel.run::<portable::F32x8>(),

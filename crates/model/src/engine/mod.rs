@@ -34,15 +34,11 @@ pub enum EngineError {
         /// What it was given.
         found: &'static str,
     },
-    /// Arithmetic that this engine does not have.
+    /// Arithmetic that this processor does not have.
     #[error(
-        "precision: expected f32, found {name}: this build computes in f32 alone, as it has no kernels for AMX tiles, \
-         without which bf16 gains nothing"
+        "precision: expected f32, found bf16: this processor, or WHERE2ACT_ISA, has no AVX-512 with bf16"
     )]
-    Precision {
-        /// What was asked for.
-        name: String,
-    },
+    Precision,
 }
 
 /// A network compiled for prediction.
@@ -119,7 +115,15 @@ impl Engine {
     /// # Errors
     /// As [`Self::compile`].
     pub fn open(network: &Network) -> Result<(Self, Option<LastLayer>), EngineError> {
-        Self::compile_layers(Isa::best(), network, true)
+        Self::open_for(Isa::best(), network)
+    }
+
+    /// [`Self::open`] for a chosen instruction set.
+    ///
+    /// # Errors
+    /// As [`Self::compile`].
+    pub fn open_for(isa: Isa, network: &Network) -> Result<(Self, Option<LastLayer>), EngineError> {
+        Self::compile_layers(isa, network, true)
     }
 
     fn compile_layers(
@@ -159,13 +163,12 @@ impl Engine {
         Ok((engine, last))
     }
 
-    /// Checks a precision by name: `f32` is what this engine computes in.
+    /// The instruction set whose convolutions multiply in bf16 and add in f32. Networks for scans stay in f32.
     ///
     /// # Errors
-    /// For any other name. bf16 would pay only with AMX tiles: AVX-512's products of bf16 run at half the
-    /// rate of f32 (measured).
-    pub fn check_precision(name: &str) -> Result<(), EngineError> {
-        if name == "f32" { Ok(()) } else { Err(EngineError::Precision { name: name.to_owned() }) }
+    /// [`EngineError::Precision`] where there is none.
+    pub fn bf16() -> Result<Isa, EngineError> {
+        Isa::bf16().ok_or(EngineError::Precision)
     }
 
     /// The instruction set it was compiled for.

@@ -152,7 +152,27 @@ fn wrong_inputs_are_refused() {
     assert!(engine.features_cloud(&Hierarchy::new(&[0.0; 64 * 3], 1)).is_err());
     let odd = network(Modality::Rgb, |config| ModelConfig { features: 100, ..config.with_width(0.25) });
     assert!(Engine::compile(&odd).is_err());
-    assert!(Engine::check_precision("f32").is_ok());
-    let error = Engine::check_precision("bf16").unwrap_err().to_string();
-    assert!(error.contains("expected f32, found bf16") && error.contains("AMX"), "{error}");
+}
+
+#[test]
+fn bf16_comes_near_and_scans_stay_as_they_are() {
+    let Ok(isa) = Engine::bf16() else {
+        assert!(EngineError::Precision.to_string().contains("expected f32, found bf16"));
+        return;
+    };
+    let network_rgb = network(Modality::Rgb, |config| config.with_width(0.5));
+    let images = noise(2 * 3 * 224 * 224);
+    let features = |isa| {
+        let engine = Engine::compile_for(isa, &network_rgb).unwrap();
+        engine.features_rgb(&images, [2, 224, 224]).unwrap().to_vec()
+    };
+    let (exact, found) = (features(Isa::best()), features(isa));
+    let apart = error(&exact, &found);
+    assert!(apart > 1e-5 && apart < 5e-2, "{apart:e}");
+    assert!(found == features(isa), "the same bits every time");
+    let network = network(Modality::Cloud, |config| config.with_points(256));
+    let hierarchy = Hierarchy::new(&noise(256 * 3), 1);
+    let features =
+        |isa| Engine::compile_for(isa, &network).unwrap().features_cloud(&hierarchy).unwrap().to_vec();
+    assert!(features(Isa::best()) == features(isa));
 }

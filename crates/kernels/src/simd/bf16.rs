@@ -1,0 +1,87 @@
+//! 16 lanes of AVX-512 whose matrix products are of bf16, two in each lane.
+
+use super::avx512::F32x16;
+use super::{Kernel, Vector};
+use std::arch::x86_64::*;
+
+/// 16 lanes.
+#[derive(Clone, Copy)]
+pub(super) struct Bf16x32(F32x16);
+
+/// Runs a kernel compiled for AVX-512 with bf16.
+///
+/// # Safety
+/// The CPU must have the features; see [`Kernel::run`].
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx512bf16,avx2,fma")]
+pub(super) unsafe fn run<K: Kernel>(kernel: K) {
+    // SAFETY: the features are those of this function.
+    unsafe { kernel.run::<Bf16x32>() }
+}
+
+// SAFETY of every block below: a value, or the caller of a constructor, vouches for AVX-512 with bf16 (see `Vector`);
+// pointers are the caller's promise.
+impl Vector for Bf16x32 {
+    const LANES: usize = F32x16::LANES;
+    const ROWS: usize = F32x16::ROWS;
+
+    #[inline(always)]
+    unsafe fn splat(x: f32) -> Self {
+        unsafe { Self(F32x16::splat(x)) }
+    }
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> Self {
+        unsafe { Self(F32x16::load(from)) }
+    }
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32) {
+        unsafe { self.0.store(to) }
+    }
+    #[inline(always)]
+    unsafe fn stream(self, to: *mut f32) {
+        unsafe { self.0.stream(to) }
+    }
+    #[inline(always)]
+    unsafe fn store_operands(self, to: *mut f32) {
+        unsafe {
+            _mm256_storeu_si256(
+                to.cast(),
+                std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(self.0.0)),
+            )
+        }
+    }
+    #[inline(always)]
+    fn multiply_add(self, b: Self, c: Self) -> Self {
+        unsafe {
+            let pairs = |v: Self| std::mem::transmute::<__m512, __m512bh>(v.0.0);
+            Self(F32x16(_mm512_dpbf16_ps(c.0.0, pairs(self), pairs(b))))
+        }
+    }
+    #[inline(always)]
+    fn fence(self) {
+        self.0.fence();
+    }
+    #[inline(always)]
+    fn add(self, b: Self) -> Self {
+        Self(self.0.add(b.0))
+    }
+    #[inline(always)]
+    fn sub(self, b: Self) -> Self {
+        Self(self.0.sub(b.0))
+    }
+    #[inline(always)]
+    fn mul(self, b: Self) -> Self {
+        Self(self.0.mul(b.0))
+    }
+    #[inline(always)]
+    fn fma(self, b: Self, c: Self) -> Self {
+        Self(self.0.fma(b.0, c.0))
+    }
+    #[inline(always)]
+    fn max(self, b: Self) -> Self {
+        Self(self.0.max(b.0))
+    }
+    #[inline(always)]
+    fn sum(self) -> f32 {
+        self.0.sum()
+    }
+}
