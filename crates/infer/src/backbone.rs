@@ -5,7 +5,7 @@ use std::ops::Deref;
 use burn::tensor::{Device, Tensor, TensorData};
 use where2act_kernels::Isa;
 use where2act_model::preprocess::CloudInput;
-use where2act_model::{Engine, Features, LastLayer, ModelConfig, Network};
+use where2act_model::{Engine, EngineError, Features, LastLayer, ModelConfig, Network};
 
 use crate::Error;
 
@@ -73,9 +73,11 @@ impl Backbone {
     pub(crate) fn new(network: Network, backend: Backend) -> Result<(Self, Option<LastLayer>), Error> {
         match backend {
             Backend::Fast | Backend::Bf16 => {
-                let isa =
-                    if backend == Backend::Bf16 { Engine::bf16().map_err(failed)? } else { Isa::best() };
-                let (engine, last) = Engine::open_for(isa, &network).map_err(failed)?;
+                let isa = match backend {
+                    Backend::Bf16 => Isa::bf16().ok_or(EngineError::NoBf16).map_err(failed)?,
+                    _ => Isa::best(),
+                };
+                let (engine, last) = Engine::open(isa, &network).map_err(failed)?;
                 Ok((Self::Fast(Box::new(engine)), last))
             }
             _ => Ok((Self::Burn(Box::new(network), backend.device()), None)),

@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 use where2act_core::{ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing};
 use where2act_infer::{Backend, Error, Options, Predictor};
+use where2act_kernels::Isa;
 use where2act_model::{Modality, ModelConfig, Network, Weights};
 
 fn predictor_on(modality: Modality, backend: Backend) -> Predictor {
@@ -111,8 +112,12 @@ fn the_engine_and_burn_agree() {
         predictor.predict_dense(&observation, &Options::default()).unwrap().maps.dense(Primitive::Pulling)
     };
     let (fast, burn) = (maps(Backend::Fast), maps(Backend::Flex));
-    let largest = fast.iter().zip(&burn).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-    assert!(largest < 1e-4, "{largest}");
+    let apart = |other: &[f32]| fast.iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(apart(&burn) < 1e-4, "{}", apart(&burn));
+    if Isa::bf16().is_some() {
+        let near = apart(&maps(Backend::Bf16));
+        assert!(near > 1e-5 && near < 2e-2, "{near}");
+    }
 }
 
 #[test]

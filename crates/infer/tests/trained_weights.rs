@@ -10,8 +10,9 @@ use where2act_kernels::Isa;
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
 use where2act_model::{Engine, Network, Weights};
 
-/// Largest difference over largest value, in f32 and in bf16.
+/// Largest difference over largest value: rounding in another order.
 const TOLERANCE: f32 = 1e-4;
+/// The same for convolutions in bf16: 2^-9 for each operand of some twenty layers one after the other.
 const BF16_TOLERANCE: f32 = 3e-2;
 
 fn repository(path: &str) -> PathBuf {
@@ -36,7 +37,7 @@ fn close(what: &str, isa: Isa, found: &[f32], expected: &[f32]) {
         if apart.is_nan() { f32::INFINITY } else { m.max(apart) }
     });
     println!("{what} on {}: {:.1e} of the largest", isa.name(), furthest / largest);
-    let tolerance = if Some(isa) == Isa::bf16() { BF16_TOLERANCE } else { TOLERANCE };
+    let tolerance = if isa != isa.exact() { BF16_TOLERANCE } else { TOLERANCE };
     assert!(furthest < tolerance * largest, "{what} on {}: {furthest} of {largest}", isa.name());
 }
 
@@ -49,7 +50,7 @@ fn check(network: &Network, expected: &[f32], run: impl Fn(&Engine) -> Vec<f32> 
             pool.install(|| run(&engine))
         };
         let features = with(1);
-        close("features", isa, &features, expected);
+        close("features", engine.isa(), &features, expected);
         for threads in [2, 5] {
             assert!(with(threads) == features, "{threads} threads on {}", isa.name());
         }

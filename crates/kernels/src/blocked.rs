@@ -5,7 +5,7 @@ use crate::{AlignedBuf, ShapeError};
 /// A batch of feature maps `[images][channels / 16][height][width][16]`.
 ///
 /// The 16 channels of a pixel are one cache line. Channels beyond `channels` in the last block may hold
-/// anything; no kernel reads them. One line of padding separates the planes, so that planes whose size is a
+/// anything that is a number: no result depends on them, but bf16 multiplies the one after an odd number by zero. One line of padding separates the planes, so that planes whose size is a
 /// power of two do not compete for the same cache sets.
 #[derive(Clone, Default)]
 pub struct Blocked {

@@ -15,7 +15,7 @@ pub(crate) struct Panels {
     isa: Isa,
     planes: usize,
     n: usize,
-    /// Values of an output channel.
+    /// Packed values for each output channel.
     k: usize,
     /// Values for each block of 16 input channels: its channels in use, or pairs of them.
     valid: Vec<usize>,

@@ -26,7 +26,7 @@ impl Isa {
     pub const PORTABLE: Self = Self(Level::Portable);
 
     /// The widest instruction set this processor has, unless the environment variable `WHERE2ACT_ISA` names a narrower
-    /// one (`portable`, `avx2`): the switch with which tests and measurements force a path through a whole program.
+    /// one (`portable`, `avx2`; not `bf16`, which is asked for by [`Self::bf16`]): the switch with which tests and measurements force a path through a whole program.
     /// It is read once.
     pub fn best() -> Self {
         static BEST: OnceLock<Isa> = OnceLock::new();
@@ -60,8 +60,8 @@ impl Isa {
     /// AVX-512 with products of bf16: convolutions round what they multiply to 8 bits and add in f32. `None` where the
     /// processor does not have it or [`Self::best`] is something narrower.
     ///
-    /// It pays on AMD's processors (Zen 4: twice the products of f32 a second, measured); Intel's, which have tiles for
-    /// bf16, do these at half the rate of f32.
+    /// A Zen 4 of AMD does twice as many of these products a second as of f32, a Xeon of Intel with tiles for bf16 no more
+    /// (both measured).
     pub fn bf16() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
         if Self::best() == Self(Level::Avx512) && is_x86_feature_detected!("avx512bf16") {
@@ -71,7 +71,7 @@ impl Isa {
     }
 
     /// The same instruction set with all products in f32.
-    pub(crate) fn exact(self) -> Self {
+    pub fn exact(self) -> Self {
         match self.0 {
             #[cfg(target_arch = "x86_64")]
             Level::Bf16 => Self(Level::Avx512),

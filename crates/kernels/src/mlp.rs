@@ -376,7 +376,7 @@ mod tests {
                 let most = &mut expected[row / pool * last..][..last];
                 most.iter_mut().zip(&x).for_each(|(most, x)| *most = most.max(*x));
             }
-            for isa in Isa::available() {
+            for isa in Isa::available().into_iter().chain(Isa::bf16()) {
                 let mlp = Mlp::new(isa, inputs, &layers).unwrap();
                 let mut output = vec![f32::NAN; groups * last];
                 mlp.run(MlpInput { rows: &rows, lookup, pool }, &mut output).unwrap();

@@ -79,7 +79,7 @@ mod tests {
                     }
                 }
             }
-            for isa in Isa::available() {
+            for isa in Isa::available().into_iter().chain(Isa::bf16()) {
                 let mut output = Blocked::default();
                 max_pool(isa, &input, &mut output);
                 assert_eq!(output.to_nchw(), expected, "{}", isa.name());

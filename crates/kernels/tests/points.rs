@@ -190,9 +190,13 @@ proptest! {
 
     #[test]
     fn what_is_in_boxes_equals_the_plain_loop(
-        xyz in cloud(300), frames in prop::collection::vec(frame(), 0..40),
+        xyz in cloud(300), mut frames in prop::collection::vec(frame(), 0..40), places in 1usize..40,
         min in prop::array::uniform3(-0.6f32..0.1), size in prop::array::uniform3(0.0f32..1.0), count in 0usize..40,
     ) {
+        // Several frames at a place, in any order.
+        for i in places..frames.len() {
+            frames[i].origin = frames[i % places].origin;
+        }
         let bounds = Bounds { min, max: [0, 1, 2].map(|i| min[i] + size[i]) };
         let expected = naive_boxes(&xyz, &frames, &bounds, count);
         for isa in Isa::available() {

@@ -155,14 +155,17 @@ fn pointnet(config: &ModelConfig) -> Vec<Block> {
 
 fn heads(config: &ModelConfig) -> Vec<Block> {
     let (f, h, p, z) = (config.features, config.hidden, config.primitives.len(), config.latent);
-    let (a, dense) = (config.alignments, config.hidden_of_actionability());
+    let a = config.alignments;
     let rows = match config.modality {
         Modality::Rgb => config.preprocessing.image_side.pow(2),
         Modality::Cloud => config.points,
     };
-    let head = |input, output| Count::default().linear(input, h, 1, rows).linear(h, output, 1, rows);
+    let head_of = |hidden, input, output| {
+        Count::default().linear(input, hidden, 1, rows).linear(hidden, output, 1, rows)
+    };
+    let head = |input, output| head_of(h, input, output);
     let mut blocks = vec![
-        Count::default().linear(f, dense, 1, rows).linear(dense, p, 1, rows).block("heads.actionability"),
+        head_of(config.hidden_of_actionability(), f, p).block("heads.actionability"),
         head(f + 6 + a, p).linear(f, ALIGNED * a, usize::from(a > 0), rows).block("heads.score"),
         head(f + z, 6 * p).block("heads.proposal.decoder"),
         head(f + 6, p * z).linear(h, p * z, 1, rows).block("heads.proposal.encoder"),
@@ -209,6 +212,7 @@ mod tests {
             for primitives in [&Primitive::ALL[..1], &Primitive::ALL] {
                 let mut config = ModelConfig::new(modality, primitives).with_width(0.25);
                 config.alignments = primitives.len() - 1;
+                config.actionability_hidden = (primitives.len() > 1).then_some(17);
                 config.second_look = modality == Modality::Cloud;
                 let network = Network::new(&config, Seed(1), &Device::flex());
                 assert_eq!(Summary::new(&config).parameters(), trained(&network));

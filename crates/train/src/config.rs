@@ -19,6 +19,7 @@ pub struct TrainConfig {
     #[serde(default)]
     pub seed: u64,
     /// Weights to start from instead of random ones: the folder of a network of the same shape, e.g. `weights/cloud`.
+    /// It may lack a second look, and its actionability may be of another size; these start at random.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<PathBuf>,
     /// Folders of earlier runs on the same data, of either modality, whose newest online trials, as many as `adaptive.buffer`

@@ -30,9 +30,12 @@ impl Replay {
         }
     }
 
-    /// Adds what another buffer holds.
+    /// Adds what another buffer holds and this one does not.
     pub fn extend(&mut self, other: Self) {
-        other.held.into_iter().for_each(|(scene, trials)| self.add(scene, trials));
+        for (scene, mut trials) in other.held {
+            trials.retain(|new| self.trials(scene).all(|held| held != *new));
+            self.add(scene, trials);
+        }
     }
 
     /// Trials held for a scene.
@@ -87,7 +90,11 @@ mod tests {
         assert_eq!(replay.trials(a).map(|t| t.pixel.u).collect::<Vec<_>>(), vec![5, 6]);
         assert_eq!(replay.trials(b).count(), 2);
         let mut smaller = Replay::new(3);
-        smaller.extend(replay);
+        smaller.extend(replay.clone());
         assert_eq!((smaller.len(), smaller.trials(a).count()), (2, 2));
+        let mut both = Replay::new(100);
+        both.add(b, vec![trial(4), trial(7)]);
+        both.extend(replay);
+        assert_eq!(both.trials(b).map(|t| t.pixel.u).collect::<Vec<_>>(), vec![4, 7, 3], "none twice");
     }
 }

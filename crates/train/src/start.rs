@@ -50,7 +50,7 @@ pub(crate) fn first_weights(
     };
     let network = Weights::load(folder, device)?.network;
     // What does not change the shape of any parameter may differ, a second look may be added, and the actionability may be
-    // of another size: it follows from the others and is soon learnt.
+    // of another size: then it is learnt anew.
     let found = network.config().clone();
     let comparable = ModelConfig {
         name: model.name.clone(),
@@ -62,6 +62,9 @@ pub(crate) fn first_weights(
     };
     if comparable != *model {
         return Err(TrainError::OtherNetwork { path: folder.clone() });
+    }
+    if network.config().hidden_of_actionability() != model.hidden_of_actionability() {
+        tracing::info!("{}: the actionability has another size and starts at random", folder.display());
     }
     let network = Network::new(model, seed, device).with_tensors_of(&network)?;
     Ok(Learner::new(network, &config.loss, seed))
@@ -79,7 +82,13 @@ pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Re
         if progress.fingerprint != checkpoint::fingerprint(&text, &manifest(dataset)?) {
             return Err(TrainError::OtherData { path: run.clone() });
         }
+        let (before, held) = (trials.len(), theirs.len());
         trials.extend(theirs);
+        tracing::info!(
+            "{}: {held} newer trials, {before} others before them, {} held",
+            run.display(),
+            trials.len()
+        );
     }
     Ok(trials)
 }

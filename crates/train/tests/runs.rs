@@ -165,7 +165,10 @@ fn a_run_may_start_from_weights() {
     let mut leaner = further.clone();
     leaner.network.actionability_hidden = Some(16);
     let (leaner, _) = train_for(&leaner, &data, &folder.path().join("leaner"), usize::MAX).unwrap();
-    let leaner = tensors(&leaner.weights.unwrap());
+    let leaner = leaner.weights.unwrap();
+    let kept = Weights::load(&leaner, &Device::flex()).unwrap().network;
+    assert_eq!(kept.config().actionability_hidden, Some(16));
+    let leaner = tensors(&leaner);
     assert_eq!(leaner["heads.actionability.mlp1.weight"].shape[0], 16);
     let other = |name: &str| before.get(name) != leaner.get(name);
     let changed: Vec<_> = before.keys().filter(|name| own(name) && other(name)).collect();
@@ -323,10 +326,17 @@ fn a_run_may_begin_with_the_trials_of_others() {
     };
     train_for(&after(&[&first]), &data, &second, usize::MAX).unwrap();
     assert_eq!(held(&second), trials[..5]);
-    let both = folder.path().join("both");
-    train_for(&after(&[&first, &second]), &data, &both, usize::MAX).unwrap();
-    assert_eq!(held(&both), [&trials[..5], &trials[..5]].concat());
+    // The second holds the first's: none twice. A run of pictures may have gone before.
+    let mut of_pictures = after(&[&first, &second]);
+    of_pictures.network.modality = Modality::Rgb;
+    (of_pictures.network.second_look, of_pictures.network.width) = (false, 0.1);
+    let pictures = folder.path().join("pictures");
+    train_for(&of_pictures, &data, &pictures, usize::MAX).unwrap();
+    assert_eq!(held(&pictures), trials[..5]);
+    let third = folder.path().join("after pictures");
+    train_for(&after(&[&pictures]), &data, &third, usize::MAX).unwrap();
+    assert_eq!(held(&third), trials[..5]);
     let other = self::data(&folder.path().join("other"), 16);
-    let error = train_for(&after(&[&first]), &other, &folder.path().join("third"), 1).unwrap_err();
+    let error = train_for(&after(&[&first]), &other, &folder.path().join("fourth"), 1).unwrap_err();
     assert!(matches!(&error, TrainError::OtherData { path } if *path == first), "{error}");
 }

@@ -29,7 +29,7 @@ pub(crate) struct DecodingHeads {
     isa: Isa,
     /// Numbers per row: features, or what the backbone's last layer makes them of.
     features: usize,
-    /// Size of the hidden layers, rounded up to what the kernels look up.
+    /// Size of the hidden layers but the actionability's, rounded up to what the kernels look up.
     hidden: usize,
     latent: usize,
     /// Feature -> hidden layer of the actionability.
@@ -86,14 +86,14 @@ impl DecodingHeads {
         let (isa, hidden) = (Isa::best(), config.hidden.next_multiple_of(16));
         let features = last.map_or(config.features, |last| last.weights.len() / last.bias.len().max(1));
         let primitives = config.primitives.len();
-        let first = |linear: &Linear, hidden: usize| -> Result<(Plain, Vec<f32>), Error> {
-            Ok(Plain::of(linear)?.widened(hidden).after(last).split(features))
+        let first = |linear: &Linear, outputs: usize| -> Result<(Plain, Vec<f32>), Error> {
+            Ok(Plain::of(linear)?.widened(outputs).after(last).split(features))
         };
-        let dense = config.hidden_of_actionability().next_multiple_of(16);
-        let (actionability, _) = first(&heads.actionability.mlp1, dense)?;
+        let of_actionability = config.hidden_of_actionability().next_multiple_of(16);
+        let (actionability, _) = first(&heads.actionability.mlp1, of_actionability)?;
         let (proposal_feature, code) = first(&heads.proposal.decoder.mlp1.linear, hidden)?;
         let (score_feature, hand) = first(&heads.score.mlp1.linear, hidden)?;
-        let logits = Output::of(&heads.actionability.mlp2, 1, dense)?;
+        let logits = Output::of(&heads.actionability.mlp2, 1, of_actionability)?;
         Ok(Self {
             isa,
             features,

@@ -3,6 +3,7 @@ use std::path::Path;
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Point3;
 use where2act_core::{Observation, Orientation6, Primitive, Seed};
+use where2act_kernels::Isa;
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
 use where2act_model::{Engine, LastLayer, Modality, ModelConfig, Network, Weights, hand_frame, to_axes};
 
@@ -152,7 +153,7 @@ fn trained_weights_decode_a_picture_as_the_heads_of_the_model() {
     let with = &network.config().preprocessing;
     let side = with.image_side;
     let input = ImageInput::new(picture.size, &picture.rgb, None, with).unwrap();
-    let (engine, last) = Engine::open(&network).unwrap();
+    let (engine, last) = Engine::open(Isa::best(), &network).unwrap();
     let rows = engine.features_rgb(&input.values, [1, side, side]).unwrap();
     assert!(last.is_some(), "the shipped U-Net has fewer channels than features");
     check(&network, last.as_ref(), &rows, &[0, 20_000, 25_112, 30_000, 50_175]);
@@ -165,7 +166,7 @@ fn trained_weights_decode_a_scan_as_the_heads_of_the_model() {
     let config = network.config();
     let mut rng = Seed(1).rng();
     let (input, _) = CloudInput::from_observation(&scan, CloudScale::Trained, config, &mut rng).unwrap();
-    let (engine, last) = Engine::open(&network).unwrap();
+    let (engine, last) = Engine::open(Isa::best(), &network).unwrap();
     let rows = engine.features_cloud(&input.whole_hierarchy(config)).unwrap();
     check(&network, last.as_ref(), &rows, &[0, 1000, 2000, 3000, 4095]);
 }

@@ -8,6 +8,8 @@ use std::arch::x86_64::*;
 #[derive(Clone, Copy)]
 pub(super) struct Bf16x32(F32x16);
 
+const _: () = assert!(F32x16::LANES == 16, "operands are stored a block of channels at a time");
+
 /// Runs a kernel compiled for AVX-512 with bf16.
 ///
 /// # Safety
@@ -19,7 +21,7 @@ pub(super) unsafe fn run<K: Kernel>(kernel: K) {
 }
 
 // SAFETY of every block below: a value, or the caller of a constructor, vouches for AVX-512 with bf16 (see `Vector`);
-// pointers are the caller's promise.
+// pointers are the caller's promise. Vectors are transmuted to others of their size, for which all bits are valid.
 impl Vector for Bf16x32 {
     const LANES: usize = F32x16::LANES;
     const ROWS: usize = F32x16::ROWS;
@@ -43,10 +45,8 @@ impl Vector for Bf16x32 {
     #[inline(always)]
     unsafe fn store_operands(self, to: *mut f32) {
         unsafe {
-            _mm256_storeu_si256(
-                to.cast(),
-                std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(self.0.0)),
-            )
+            let halves = std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(self.0.0));
+            _mm256_storeu_si256(to.cast(), halves);
         }
     }
     #[inline(always)]

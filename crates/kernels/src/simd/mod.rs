@@ -40,7 +40,8 @@ pub(crate) trait Vector: Copy {
     /// As [`Vector::store`], and `to` is aligned to the vector's size. Call [`fence`](Vector::fence) before
     /// another thread reads it.
     unsafe fn stream(self, to: *mut f32);
-    /// Stores 16 or fewer channels of a row as operands of a matrix product: bf16 take the first half of the place.
+    /// Stores channels of a row as operands of a matrix product. Vectors of bf16 hold all 16 channels of a block, and
+    /// their operands take the first half of the block's place.
     ///
     /// # Safety
     /// As [`Vector::store`].
@@ -49,7 +50,7 @@ pub(crate) trait Vector: Copy {
         // SAFETY: the caller's promise.
         unsafe { self.store(to) }
     }
-    /// `c` and the products of the operands in each lane.
+    /// `c` plus the products of the operands in each lane.
     #[inline(always)]
     fn multiply_add(self, b: Self, c: Self) -> Self {
         self.fma(b, c)
@@ -107,7 +108,11 @@ impl Isa {
 
     /// Operands of a matrix product in a lane of these vectors.
     pub(crate) fn operands(self) -> usize {
-        if self == self.exact() { 1 } else { 2 }
+        match self.level() {
+            #[cfg(target_arch = "x86_64")]
+            Level::Bf16 => 2,
+            _ => 1,
+        }
     }
 
     /// Runs a kernel with this instruction set's vectors.

@@ -46,8 +46,13 @@ fn make(folder: &Path, width: f32) -> Result<()> {
 }
 
 fn serve(folder: &Path, input: &Path, batch: usize, isa: &str) -> Result<()> {
-    let all = Isa::available().into_iter().chain(Isa::bf16());
-    let isa = all.into_iter().find(|i| i.name() == isa).unwrap_or_else(Isa::best);
+    let isa = match isa {
+        "best" => Isa::best(),
+        _ => {
+            let mut all = Isa::available().into_iter().chain(Isa::bf16());
+            all.find(|i| i.name() == isa).with_context(|| format!("{isa}: this processor lacks it"))?
+        }
+    };
     let weights = Weights::load(folder, &Device::flex())?;
     let side = weights.network.config().preprocessing.image_side;
     let engine = Engine::compile_for(isa, &weights.network)?;

@@ -36,9 +36,10 @@ pub enum EngineError {
     },
     /// Arithmetic that this processor does not have.
     #[error(
-        "precision: expected f32, found bf16: this processor, or WHERE2ACT_ISA, has no AVX-512 with bf16"
+        "precision: expected f32, found bf16, which needs AVX-512 with bf16: this processor lacks it, or WHERE2ACT_ISA \
+         forbids it"
     )]
-    Precision,
+    NoBf16,
 }
 
 /// A network compiled for prediction.
@@ -101,7 +102,7 @@ impl Engine {
         Self::compile_for(Isa::best(), network)
     }
 
-    /// [`Self::compile`] for a chosen instruction set.
+    /// [`Self::compile`] for a chosen instruction set. Of those with bf16 only networks for pictures make use.
     ///
     /// # Errors
     /// As [`Self::compile`].
@@ -109,20 +110,12 @@ impl Engine {
         Self::compile_layers(isa, network, false).map(|(engine, _)| engine)
     }
 
-    /// [`Self::compile`], but without the linear layer at the end if there are fewer numbers before it than after it: for
+    /// [`Self::compile_for`], but without the linear layer at the end if there are fewer numbers before it than after it: for
     /// a caller that goes on with linear layers. Two of them in a row are one, here on the fewer numbers.
     ///
     /// # Errors
     /// As [`Self::compile`].
-    pub fn open(network: &Network) -> Result<(Self, Option<LastLayer>), EngineError> {
-        Self::open_for(Isa::best(), network)
-    }
-
-    /// [`Self::open`] for a chosen instruction set.
-    ///
-    /// # Errors
-    /// As [`Self::compile`].
-    pub fn open_for(isa: Isa, network: &Network) -> Result<(Self, Option<LastLayer>), EngineError> {
+    pub fn open(isa: Isa, network: &Network) -> Result<(Self, Option<LastLayer>), EngineError> {
         Self::compile_layers(isa, network, true)
     }
 
@@ -132,6 +125,7 @@ impl Engine {
         open: bool,
     ) -> Result<(Self, Option<LastLayer>), EngineError> {
         let mut last = None;
+        let isa = if matches!(network.backbone, Backbone::PointNet2(_)) { isa.exact() } else { isa };
         let side = network.config().preprocessing.image_side;
         let backbone = match &network.backbone {
             Backbone::UNet(unet) => {
@@ -161,14 +155,6 @@ impl Engine {
             outputs: Mutex::default(),
         };
         Ok((engine, last))
-    }
-
-    /// The instruction set whose convolutions multiply in bf16 and add in f32. Networks for scans stay in f32.
-    ///
-    /// # Errors
-    /// [`EngineError::Precision`] where there is none.
-    pub fn bf16() -> Result<Isa, EngineError> {
-        Isa::bf16().ok_or(EngineError::Precision)
     }
 
     /// The instruction set it was compiled for.

@@ -66,7 +66,8 @@ struct Args {
     #[arg(long)]
     from: Option<PathBuf>,
     /// Folder of an earlier run on the same data, of either modality, to begin with the trials that it made between epochs;
-    /// may be given several times. Give this run another seed: with the same one it repeats that run's random trials.
+    /// may be given several times, the newest trials last. Give this run another seed: with one of theirs it repeats
+    /// random trials.
     #[arg(long, value_name = "RUN")]
     replay: Vec<PathBuf>,
     /// ResNet-18 under torchvision's names (.pth or .safetensors) to start the encoder from: pictures, width 1.

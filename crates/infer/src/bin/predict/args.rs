@@ -6,7 +6,8 @@ use anyhow::{Result, bail};
 use clap::{Parser, ValueEnum};
 use where2act_core::{Intrinsics, Pixel, Primitive, Seed};
 use where2act_infer::{Backend, Options};
-use where2act_model::Engine;
+use where2act_kernels::Isa;
+use where2act_model::EngineError;
 
 use crate::inputs::Input;
 
@@ -125,9 +126,9 @@ enum EngineArg {
 /// What convolutions multiply in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum PrecisionArg {
-    /// 24 bits
+    /// significands of 24 bits
     F32,
-    /// 8 bits
+    /// significands of 8 bits
     Bf16,
 }
 
@@ -165,7 +166,7 @@ impl Args {
             if self.backend() != Backend::Bf16 {
                 bail!("--precision: bf16 is computed by --engine fast, not by burn");
             }
-            Engine::bf16().map_err(|e| anyhow::anyhow!("--{e}"))?;
+            Isa::bf16().ok_or(EngineError::NoBf16).map_err(|e| anyhow::anyhow!("--{e}"))?;
         }
         self.options().validate().map_err(|e| anyhow::anyhow!("--{e}"))
     }
