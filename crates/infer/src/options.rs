@@ -38,6 +38,11 @@ impl Options {
     /// Most proposals, samples or candidates that may be asked for.
     pub const MAX_COUNT: usize = 10_000;
 
+    /// Proposals at one pixel, at most.
+    pub(crate) fn proposals_per_pixel(&self) -> usize {
+        self.per_pixel.unwrap_or(if self.pixel.is_some() { self.top_k } else { 1 })
+    }
+
     /// Checks every number.
     ///
     /// # Errors

@@ -11,7 +11,7 @@ use where2act_core::{
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::{Backbone, Backend, NetworkInput};
-use crate::decode::{Codes, DecodingHeads, LOOKS, Scored, select, sigmoid};
+use crate::decode::{Codes, DecodingHeads, LOOKS, Scored, Tried, select, sigmoid};
 use crate::dense::DenseMaps;
 use crate::pose::proposal;
 use crate::prepare::Prepared;
@@ -125,8 +125,11 @@ impl Predictor {
         let preprocessed = Instant::now();
         let features = self.backbone.features(&prepared.input, &self.config)?;
         let looked = Instant::now();
-        let logits = self.heads.actionability(&features, &prepared.shown())?;
-        let codes = self.heads.codes(options.samples, options.seed);
+        let (logits, codes) = rayon::join(
+            || self.heads.actionability(&features, &prepared.shown()),
+            || self.heads.codes(options.samples, options.seed),
+        );
+        let logits = logits?;
         let values = sigmoids(&logits);
         let known = Known {
             prepared: &prepared,
@@ -213,19 +216,19 @@ impl Predictor {
         };
         let places: Vec<_> = candidates.iter().map(|&row| prepared.place(row)).collect();
         let tried = self.heads.propose(features, &candidates, output, codes)?;
-        let mut scored = Vec::with_capacity(candidates.len() * options.samples);
+        let looking = match &prepared.input {
+            NetworkInput::Cloud(cloud) => self.heads.second_look.as_ref().zip(Some(cloud)),
+            NetworkInput::Picture { .. } => None,
+        };
+        let best_alone = looking.is_none() && options.proposals_per_pixel() == 1;
+        let mut scored = Vec::new();
         for (candidate, (place, tried)) in places.iter().zip(tried).enumerate() {
-            for (rotation, score) in tried {
-                // A hand cannot come out of the surface; trials that try count as failures.
-                let outwards = place
-                    .normal
-                    .is_some_and(|normal| normal.dot(&rotation.matrix().column(2).into_owned()) > 0.0);
-                if !outwards {
-                    scored.push(Scored { candidate, pixel: place.pixel, rotation, score });
-                }
-            }
+            scored.extend(possible(&tried, place, best_alone).map(|sample| {
+                let (rotation, score) = (tried.rotation(sample), tried.scores.get(sample).copied());
+                Scored { candidate, pixel: place.pixel, rotation, score: score.unwrap_or(0.0) }
+            }));
         }
-        if let (Some(look), NetworkInput::Cloud(cloud)) = (&self.heads.second_look, &prepared.input) {
+        if let Some((look, cloud)) = looking {
             let each =
                 options.per_pixel.unwrap_or(if options.pixel.is_some() { options.samples } else { LOOKS });
             let each = each.max(LOOKS);
@@ -254,6 +257,17 @@ impl Predictor {
         let actionability = summary(prepared.places.rows(), value);
         Ok(PrimitivePrediction { primitive, actionability, proposals })
     }
+}
+
+/// Samples whose hand does not come out of the surface - trials that try count as failures - or the best of them.
+fn possible(tried: &Tried, place: &Place, best_alone: bool) -> impl Iterator<Item = usize> {
+    let outwards =
+        |sample: usize| place.normal.is_some_and(|normal| normal.dot(&tried.approach(sample)) > 0.0);
+    let score = |sample: usize| tried.scores.get(sample).copied().unwrap_or(f32::NEG_INFINITY);
+    let all = (0..tried.scores.len()).filter(move |&sample| !outwards(sample));
+    let best = |a: usize, b: usize| if score(b) > score(a) { b } else { a };
+    let (best, all) = if best_alone { (all.reduce(best), None) } else { (None, Some(all)) };
+    best.into_iter().chain(all.into_iter().flatten())
 }
 
 /// [`sigmoid`] of every logit, in plain loops over slices, which the compiler makes vectors of.

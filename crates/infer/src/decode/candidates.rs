@@ -44,16 +44,16 @@ impl Places {
     /// of the others; no two nearer than the radius. Ties go to the earlier place. One place per cell stands for it,
     /// so a plateau gives as many candidates as a mountain range.
     pub(crate) fn best(&self, value: impl Fn(u32) -> f32, count: usize) -> Vec<u32> {
-        let mut peaks: Vec<Option<(f32, usize)>> = vec![None; self.cell_count];
+        let mut peaks = vec![(f32::NEG_INFINITY, usize::MAX); self.cell_count];
         for (place, (&row, &cell)) in self.rows.iter().zip(&self.cells).enumerate() {
             let value = value(row);
             if let Some(peak) = peaks.get_mut(cell as usize)
-                && peak.is_none_or(|(best, _)| value > best)
+                && value > peak.0
             {
-                *peak = Some((value, place));
+                *peak = (value, place);
             }
         }
-        let mut peaks: Vec<(f32, usize)> = peaks.into_iter().flatten().collect();
+        peaks.retain(|peak| peak.1 != usize::MAX);
         peaks.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         let places: Vec<usize> = peaks.into_iter().map(|(_, place)| place).collect();
 

@@ -1,6 +1,6 @@
 //! Raw orientations to hand axes, many at once.
 
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use nalgebra::Vector3;
 use where2act_core::Orientation6;
 
 /// Orientations come in blocks of this many, which the compiler turns into vectors.
@@ -23,12 +23,11 @@ pub(super) fn axes(raw: &[f32]) -> Vec<f32> {
     found
 }
 
-/// One of the rotations of such axes.
-pub(super) fn rotation(axes: &[f32], sample: usize) -> Rotation3<f32> {
+/// Approach, forward and left of one of them.
+pub(super) fn columns(axes: &[f32], sample: usize) -> [Vector3<f32>; 3] {
     let n = axes.len() / 9;
     let number = |i: usize| axes.get(i * n + sample).copied().unwrap_or(0.0);
-    let [approach, forward, left] = [0, 3, 6].map(|i| Vector3::new(number(i), number(i + 1), number(i + 2)));
-    Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[forward, left, approach]))
+    [0, 3, 6].map(|i| Vector3::new(number(i), number(i + 1), number(i + 2)))
 }
 
 /// Gram-Schmidt as in `where2act_core::orthonormal_frame`, which is left to do what is not to be done with arithmetic
@@ -109,7 +108,10 @@ mod tests {
                 let found = found[i * 512 + sample];
                 assert!((found - expected).abs() < 2e-6, "{six:?}: {found}, expected {expected}");
             }
-            assert!((super::rotation(&found, sample).matrix() - m).amax() < 2e-6);
+            let columns = nalgebra::Matrix3::from_columns(&super::columns(&found, sample));
+            assert!(
+                (columns - nalgebra::Matrix3::from_columns(&[2, 0, 1].map(|c| m.column(c)))).amax() < 2e-6
+            );
         }
     }
 }

@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use burn::nn::Linear;
-use nalgebra::Rotation3;
+use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::RngExt;
 use rayon::prelude::*;
 use where2act_core::Seed;
@@ -59,8 +59,12 @@ pub(crate) struct Codes {
     table: Vec<f32>,
 }
 
-/// An orientation and its score.
-pub(crate) type Tried = (Rotation3<f32>, f32);
+/// The orientations that were tried at a candidate, with their scores.
+pub(crate) struct Tried {
+    /// Axes of the hands, `[AXES, samples]`, padded to whole vectors.
+    axes: Vec<f32>,
+    pub(crate) scores: Vec<f32>,
+}
 
 /// Outputs of a hidden layer.
 struct Output {
@@ -136,15 +140,15 @@ impl DecodingHeads {
         Codes { samples, table }
     }
 
-    /// For each candidate, given by its row of the feature matrix, as many orientations as there are codes and their
-    /// scores, for one output of the heads.
+    /// For each candidate, given by its row of the feature matrix, as many orientations as there are codes, for one output
+    /// of the heads.
     pub(crate) fn propose(
         &self,
         features: &[f32],
         candidates: &[u32],
         output: usize,
         codes: &Codes,
-    ) -> Result<Vec<Vec<Tried>>, Error> {
+    ) -> Result<Vec<Tried>, Error> {
         let (Some(proposal), Some(score)) = (self.proposals.get(output), self.scores.get(output)) else {
             return Ok(Vec::new());
         };
@@ -169,10 +173,24 @@ impl DecodingHeads {
                 let net = score.after(hand, of_scores);
                 net.columns(self.isa, seen, None, &mut scores).map_err(failed)?;
                 scores.iter_mut().for_each(|logit| *logit = sigmoid(*logit));
-                let tried = scores.into_iter().take(codes.samples).enumerate();
-                Ok(tried.map(|(sample, score)| (frames::rotation(&axes, sample), score)).collect())
+                scores.truncate(codes.samples);
+                Ok(Tried { axes, scores })
             })
             .collect()
+    }
+}
+
+impl Tried {
+    /// Hand rotation of a sample, camera frame.
+    pub(crate) fn rotation(&self, sample: usize) -> Rotation3<f32> {
+        let [approach, forward, left] = frames::columns(&self.axes, sample);
+        Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[forward, left, approach]))
+    }
+
+    /// Where the hand of a sample goes.
+    pub(crate) fn approach(&self, sample: usize) -> Vector3<f32> {
+        let [approach, ..] = frames::columns(&self.axes, sample);
+        approach
     }
 }
 

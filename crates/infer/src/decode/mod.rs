@@ -10,7 +10,7 @@ mod select;
 mod tests;
 
 pub(crate) use candidates::Places;
-pub(crate) use heads::{Codes, DecodingHeads};
+pub(crate) use heads::{Codes, DecodingHeads, Tried};
 pub(crate) use second_look::LOOKS;
 pub(crate) use select::{Scored, select};
 

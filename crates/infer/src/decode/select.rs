@@ -24,7 +24,7 @@ pub(crate) struct Scored {
 /// The best by score, at most so many per pixel, those of one pixel some angle apart. Ties go to the more
 /// actionable candidate, which comes first.
 pub(crate) fn select(all: &[Scored], options: &Options) -> Vec<Scored> {
-    let per_pixel = options.per_pixel.unwrap_or(if options.pixel.is_some() { options.top_k } else { 1 });
+    let per_pixel = options.proposals_per_pixel();
     // A heap, because few of the best are looked at. Equal scores stay in the order of their candidates and samples.
     let good = all.iter().enumerate().filter(|(_, scored)| scored.score >= options.min_score);
     let mut best: BinaryHeap<Ranked<'_>> = good.map(|(i, scored)| Ranked(scored, Reverse(i))).collect();

@@ -68,7 +68,10 @@ fn check(network: &Network, last: Option<&LastLayer>, rows: &[f32], candidates: 
             let axes = to_axes(raw.clone());
             let logits = model.score.forward(feature, axes.clone()).slice([0..samples, of_output]);
             let (axes, logits) = (numbers(axes).unwrap(), numbers(logits).unwrap());
-            for (sample, (rotation, score)) in found.into_iter().enumerate() {
+            assert_eq!(found.scores.len(), samples);
+            for (sample, &score) in found.scores.iter().enumerate() {
+                let rotation = found.rotation(sample);
+                assert_eq!(found.approach(sample), rotation.matrix().column(2));
                 let raw = Orientation6(numbers(raw.clone()).unwrap().as_chunks().0[sample]);
                 let what = format!("output {output}, row {row}, sample {sample}");
                 let within = TOLERANCE / shortness(&raw);

