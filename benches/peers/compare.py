@@ -52,7 +52,7 @@ def main():
     parser.add_argument("--runs", type=int, default=10, help="predictions in a block")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--isa", default="best", help="avx512, avx2, portable, bf16 or best")
-    parser.add_argument("--peers", nargs="*", default=["onnxruntime", "pytorch"], help="also: pytorch-bf16")
+    parser.add_argument("--peers", nargs="*", default=["onnxruntime", "pytorch"], help="also: pytorch-bf16, ours-bf16")
     parser.add_argument("--ours", default=str(HERE / "../../target/debug/examples/peer"), help="the built example")
     args = parser.parse_args()
 
@@ -64,10 +64,12 @@ def main():
         shape = (args.batch, 3, args.side, args.side)
         np.random.default_rng(0).normal(size=shape).astype(np.float32).tofile(pictures)
         env = dict(os.environ, RAYON_NUM_THREADS=str(args.threads))
-        ours = Peer("where2act", [args.ours, "serve", weights, pictures, str(args.batch), args.isa], env)
+        engine = lambda name, isa: Peer(name, [args.ours, "serve", weights, pictures, str(args.batch), isa], env)
+        ours = engine("where2act", args.isa)
         serve = [sys.executable, str(HERE / "serve.py")]
         rest = [weights, pictures, str(args.batch), str(args.threads)]
-        peers = [ours] + [Peer(name, serve + [name] + rest) for name in args.peers]
+        other = lambda name: engine(name, "bf16") if name == "ours-bf16" else Peer(name, serve + [name] + rest)
+        peers = [ours] + [other(name) for name in args.peers]
 
         # Asked before saving, which copies.
         memory = {peer.name: peer.ask("run 1") and int(peer.ask("memory")) / 2**20 for peer in peers}
@@ -80,7 +82,7 @@ def main():
         for peer in peers[1:]:
             error = np.abs(outputs[peer.name] - outputs[ours.name]).max() / largest
             print(f"{peer.name}: largest difference of the features {error:.1e} of the largest")
-            limit = 1e-1 if "bf16" in (args.isa, peer.name.split("-")[-1]) else 1e-4
+            limit = 1e-1 if any(name.endswith("bf16") for name in (args.isa, peer.name)) else 1e-4
             if not error < limit:
                 raise SystemExit(f"outputs disagree: expected below {limit}")
         outputs.clear()
