@@ -126,7 +126,7 @@ impl Shard {
         self.row("rgb", scene, RGB_PIXELS * 3).chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect()
     }
 
-    /// Depth at 448x448 in [`DEPTH_UNIT`].
+    /// Depth at 448x448 in [`DEPTH_UNIT`](super::DEPTH_UNIT).
     #[must_use]
     pub fn depth(&self, scene: usize) -> Vec<u16> {
         let bytes = self.row("depth", scene, DEPTH_PIXELS * 2);
