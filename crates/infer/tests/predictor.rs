@@ -265,3 +265,26 @@ fn bundled_weights_are_those_of_the_workspace() {
         assert_eq!(answer(&bundled), answer(&loaded));
     }
 }
+
+#[test]
+fn the_best_at_each_place_is_the_first_of_several() {
+    let observation = picture(200, 150);
+    for seed in 0..3 {
+        let with = |per_pixel, top_k| {
+            let options =
+                Options { per_pixel: Some(per_pixel), top_k, seed: Seed(seed), ..Options::default() };
+            predictor(Modality::Rgb).predict(&observation, &options).unwrap().primitives
+        };
+        for (one, several) in with(1, 32).into_iter().zip(with(3, 3200)) {
+            let mut seen = Vec::new();
+            let firsts = several.proposals.iter().filter(|p| {
+                let first = !seen.contains(&p.pixel);
+                seen.push(p.pixel);
+                first
+            });
+            let found: Vec<_> = one.proposals.iter().map(|p| (p.pixel, p.score, p.approach)).collect();
+            assert!(found.len() > 10);
+            assert_eq!(found, firsts.map(|p| (p.pixel, p.score, p.approach)).collect::<Vec<_>>());
+        }
+    }
+}
