@@ -71,17 +71,13 @@ impl Deref for Rows<'_> {
 impl Backbone {
     /// The backbone, and its last layer if that is left to the heads.
     pub(crate) fn new(network: Network, backend: Backend) -> Result<(Self, Option<LastLayer>), Error> {
-        match backend {
-            Backend::Fast | Backend::Bf16 => {
-                let isa = match backend {
-                    Backend::Bf16 => Isa::bf16().ok_or(EngineError::NoBf16).map_err(failed)?,
-                    _ => Isa::best(),
-                };
-                let (engine, last) = Engine::open(isa, &network).map_err(failed)?;
-                Ok((Self::Fast(Box::new(engine)), last))
-            }
-            _ => Ok((Self::Burn(Box::new(network), backend.device()), None)),
-        }
+        let isa = match backend {
+            Backend::Fast => Isa::best(),
+            Backend::Bf16 => Isa::bf16().ok_or(EngineError::NoBf16).map_err(failed)?,
+            _ => return Ok((Self::Burn(Box::new(network), backend.device()), None)),
+        };
+        let (engine, last) = Engine::open(isa, &network).map_err(failed)?;
+        Ok((Self::Fast(Box::new(engine)), last))
     }
 
     pub(crate) fn features(&self, input: &NetworkInput, config: &ModelConfig) -> Result<Rows<'_>, Error> {

@@ -223,7 +223,7 @@ impl Predictor {
         let best_alone = looking.is_none() && options.proposals_per_pixel() == 1;
         let mut scored = Vec::new();
         for (candidate, (place, tried)) in places.iter().zip(tried).enumerate() {
-            scored.extend(possible(&tried, place, best_alone).map(|sample| {
+            scored.extend(possible(&tried, place, best_alone).into_iter().map(|sample| {
                 let (rotation, score) = (tried.rotation(sample), tried.scores.get(sample).copied());
                 Scored { candidate, pixel: place.pixel, rotation, score: score.unwrap_or(0.0) }
             }));
@@ -260,14 +260,17 @@ impl Predictor {
 }
 
 /// Samples whose hand does not come out of the surface - trials that try count as failures - or the best of them.
-fn possible(tried: &Tried, place: &Place, best_alone: bool) -> impl Iterator<Item = usize> {
+fn possible(tried: &Tried, place: &Place, best_alone: bool) -> Vec<usize> {
     let outwards =
         |sample: usize| place.normal.is_some_and(|normal| normal.dot(&tried.approach(sample)) > 0.0);
     let score = |sample: usize| tried.scores.get(sample).copied().unwrap_or(f32::NEG_INFINITY);
-    let all = (0..tried.scores.len()).filter(move |&sample| !outwards(sample));
-    let best = |a: usize, b: usize| if score(b) > score(a) { b } else { a };
-    let (best, all) = if best_alone { (all.reduce(best), None) } else { (None, Some(all)) };
-    best.into_iter().chain(all.into_iter().flatten())
+    let all = (0..tried.scores.len()).filter(|&sample| !outwards(sample));
+    if best_alone {
+        // Of equal ones the first, as `select` has it.
+        all.reduce(|a, b| if score(b) > score(a) { b } else { a }).into_iter().collect()
+    } else {
+        all.collect()
+    }
 }
 
 /// [`sigmoid`] of every logit, in plain loops over slices, which the compiler makes vectors of.
