@@ -97,6 +97,12 @@ impl Verdict {
     /// Cosine between intended and actual motion above which the direction counts as right (published).
     pub const MIN_DIRECTION_COSINE: f32 = 0.5;
 
+    /// Whether a joint that turned or slid by so much has moved. `range` is the width of its limits.
+    #[must_use]
+    pub fn is_enough(moved: f32, range: f32) -> bool {
+        moved > Self::MIN_JOINT_MOTION || moved / range.max(1e-8) > Self::MIN_RANGE_SHARE
+    }
+
     /// Judges a trial by the published rule. `range` is the width of the joint's limits.
     #[must_use]
     pub fn judge(
@@ -108,11 +114,10 @@ impl Verdict {
         motion: Vector3<f32>,
     ) -> Self {
         let turned = (q_end - q_start).abs();
-        let enough = turned > Self::MIN_JOINT_MOTION || turned / range.max(1e-8) > Self::MIN_RANGE_SHARE;
         let direction = motion.try_normalize(1e-9).unwrap_or_else(Vector3::zeros);
         let intended = primitive == Primitive::Pushing
             || primitive.intended_direction(grasp_in_world).dot(&direction) > Self::MIN_DIRECTION_COSINE;
-        let success = invalid.is_none() && enough && intended && turned.is_finite();
+        let success = invalid.is_none() && Self::is_enough(turned, range) && intended && turned.is_finite();
         Self { invalid, q_start, q_end, motion, success }
     }
 }

@@ -69,7 +69,8 @@ impl Probe {
 pub(crate) fn ways(freedom: &Freedom, point: &Point3<f32>) -> Ways {
     let velocity = freedom.velocity(point);
     let way = if freedom.turns { velocity / velocity.norm().max(LEVERAGE) } else { velocity };
-    let [down, up] = freedom.room.map(|room| if room > Verdict::MIN_JOINT_MOTION { 1.0 } else { 0.0 });
+    let range = freedom.room.iter().sum();
+    let [down, up] = freedom.room.map(|room| if Verdict::is_enough(room, range) { 1.0 } else { 0.0 });
     [-way * down, way * up]
 }
 
@@ -133,6 +134,8 @@ mod tests {
         assert!((hinge - Vector3::y() * 0.1).norm() < 1e-6);
         let drawer = Freedom { turns: false, room: [0.2, 0.1], ..door };
         assert_eq!(ways(&drawer, &Point3::new(9.0, 9.0, 9.0)), [-Vector3::z(), Vector3::z()]);
+        let button = Freedom { room: [0.002, 0.006], ..drawer };
+        assert_eq!(ways(&button, &Point3::origin()), [Vector3::zeros(), Vector3::z()]);
     }
 
     #[test]

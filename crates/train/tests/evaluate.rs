@@ -11,7 +11,9 @@ use where2act_core::{Category, Primitive, Seed};
 use where2act_infer::Predictor;
 use where2act_model::{Modality, ModelConfig, Network, Precision, save_weights};
 use where2act_sim::collect::ObjectSet;
-use where2act_train::evaluate::{Contestant, EvaluateConfig, EvaluateError, Judgement, Report, evaluate};
+use where2act_train::evaluate::{
+    Contestant, EvaluateConfig, EvaluateError, Fate, Judgement, Report, evaluate,
+};
 
 const PRIMITIVES: [Primitive; 2] = [Primitive::Pushing, Primitive::Pulling];
 
@@ -64,6 +66,9 @@ fn check(judgement: &Judgement) {
             let shares = [rate.low, rate.rate, rate.high];
             assert!(shares.iter().all(|share| (0.0..=1.0).contains(share)), "{contestant:?} {rate:?}");
         }
+        let successes = row.fates.iter().find(|(fate, _)| *fate == Fate::Success).unwrap().1;
+        assert_eq!(successes, row.rates[1].1.successes);
+        assert_eq!(row.fates.iter().map(|(_, count)| count).sum::<u64>(), best_two);
         assert_eq!(row.score.trials, 2 * judgement.scenes);
         assert_eq!(row.reliability.iter().map(|r| r.outcome.tries).sum::<u64>(), row.score.trials);
         let metrics = [row.score.f_score, row.score.precision, row.score.recall, row.calibration_error];

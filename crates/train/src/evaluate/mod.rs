@@ -6,6 +6,7 @@
 //! that knowledge manages in a scene is not counted there, whoever tries it.
 
 mod contestants;
+mod fate;
 mod report;
 
 use std::collections::BTreeMap;
@@ -21,6 +22,7 @@ use where2act_sim::sampling::{Candidate, Sampler};
 
 pub use contestants::Contestant;
 pub(crate) use contestants::proposals;
+pub use fate::Fate;
 pub use report::{Judgement, Report, Row};
 
 use crate::validate::score_record;
@@ -109,6 +111,8 @@ pub struct PrimitiveResult {
     pub possible: bool,
     /// Trials of each contestant, in the order they were made.
     pub trials: Vec<(Contestant, Vec<bool>)>,
+    /// What came of the network's best proposals, in the same order.
+    pub fates: Vec<Fate>,
     /// (score, outcome) of the random trials.
     pub scored: Vec<(f32, bool)>,
 }
@@ -227,12 +231,12 @@ impl Judge<'_> {
         result.possible = informed.contains(&true);
         // The first few only: trying until success would make the rate look worse than it is.
         let informed: Vec<bool> = informed.into_iter().take(config.proposals).collect();
-        let succeeds = |candidate: &Candidate| {
-            contestants::run(prep, primitive, Policy::Adaptive, candidate).verdict.success
-        };
-        let best: Vec<bool> = own.par_iter().take(config.proposals).map(succeeds).collect();
+        let execute = |candidate: &Candidate| contestants::run(prep, primitive, Policy::Adaptive, candidate);
+        let fate = |candidate: &Candidate| Fate::of(&execute(candidate), &prep.info.freedoms);
+        result.fates = own.par_iter().take(config.proposals).map(fate).collect();
+        let best: Vec<bool> = result.fates.iter().map(|fate| *fate == Fate::Success).collect();
         let drawn = contestants::draw(own, config.proposals, seed.child("sampled", 0));
-        let sampled: Vec<bool> = drawn.into_par_iter().map(succeeds).collect();
+        let sampled: Vec<bool> = drawn.into_par_iter().map(|c| execute(c).verdict.success).collect();
         let random = contestants::random(prep, sampler, primitive, config.random, seed);
         let along = contestants::along_normal(prep, sampler, primitive, config.random, seed);
         result.trials = vec![

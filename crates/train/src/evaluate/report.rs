@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
+use where2act_core::Verdict;
 use where2act_infer::Predictor;
 
-use super::{Contestant, EvaluateConfig, PrimitiveResult, SceneResult, names};
+use super::{Contestant, EvaluateConfig, Fate, PrimitiveResult, SceneResult, names};
 use crate::metrics::{Rate, Reliability, ScoreMetrics, reliability};
 
 /// Everything that judging found.
@@ -51,6 +52,8 @@ pub struct Row {
     pub possible_scenes: u64,
     /// Success rate of each contestant, in the order of [`Contestant::ALL`].
     pub rates: Vec<(Contestant, Rate)>,
+    /// How many of the best proposals met each fate, in the order of [`Fate::ALL`]; the first are top-k's successes.
+    pub fates: Vec<(Fate, u64)>,
     /// The score on random trials in all scenes, possible or not.
     pub score: ScoreMetrics,
     /// How far the score can be taken for a probability.
@@ -124,6 +127,7 @@ impl Report {
             }
             text += "\n";
         }
+        text += &self.fates_table();
         text += "\nThe score on random trials (threshold 0.5):\n\n";
         text += "| primitive | trials | successes | F-score | precision | recall | average precision | calibration error |\n";
         text += "| --- | --- | --- | --- | --- | --- | --- | --- |\n";
@@ -173,6 +177,34 @@ impl Report {
         text
     }
 
+    /// What came of the best proposals.
+    fn fates_table(&self) -> String {
+        let mut text = format!(
+            "\nWhat came of the top-k proposals, %. Without a success: the hand came from behind or touched the object \
+             before it moved (no approach); it pushed with the palm or at another part first (wrong touch); the part gives \
+             in no direction within {:.0} degrees of the one intended (against the joint); it gives, but slipped or went \
+             another way (no hold).\n\n| primitive | tries |",
+            Verdict::MIN_DIRECTION_COSINE.acos().to_degrees()
+        );
+        let of_all = |fate: Fate| self.total.rows.iter().map(move |row| row.count(fate)).sum::<u64>();
+        let shown: Vec<Fate> =
+            Fate::ALL.into_iter().filter(|fate| *fate != Fate::Unstable || of_all(*fate) > 0).collect();
+        for fate in &shown {
+            let _ = write!(text, " {} |", fate.name());
+        }
+        text += &separator(2 + shown.len());
+        for row in &self.total.rows {
+            let tries: u64 = row.fates.iter().map(|(_, count)| count).sum();
+            let _ = write!(text, "| {} | {tries} |", row.primitive);
+            for fate in &shown {
+                let share = 100.0 * row.count(*fate) as f64 / tries.max(1) as f64;
+                let _ = write!(text, " {share:.0} |");
+            }
+            text += "\n";
+        }
+        text
+    }
+
     /// How often trials of a score succeed.
     fn reliability_table(&self) -> String {
         let mut text =
@@ -216,6 +248,13 @@ impl Judgement {
     }
 }
 
+impl Row {
+    /// Best proposals that met this fate.
+    fn count(&self, wanted: Fate) -> u64 {
+        self.fates.iter().filter(|(fate, _)| *fate == wanted).map(|(_, count)| count).sum()
+    }
+}
+
 fn row(primitive: &str, results: &[&PrimitiveResult]) -> Row {
     let possible: Vec<_> = results.iter().filter(|r| r.possible).collect();
     let rate = |contestant: Contestant| {
@@ -227,12 +266,14 @@ fn row(primitive: &str, results: &[&PrimitiveResult]) -> Row {
             .collect();
         Rate::new(outcomes.iter().filter(|o| **o).count() as u64, outcomes.len() as u64)
     };
+    let count = |fate: Fate| possible.iter().flat_map(|r| &r.fates).filter(|f| **f == fate).count() as u64;
     let scored: Vec<(f32, bool)> = results.iter().flat_map(|r| r.scored.iter().copied()).collect();
     let (rows, calibration_error) = reliability(&scored);
     Row {
         primitive: primitive.to_owned(),
         possible_scenes: possible.len() as u64,
         rates: Contestant::ALL.map(|c| (c, rate(c))).to_vec(),
+        fates: Fate::ALL.map(|fate| (fate, count(fate))).to_vec(),
         score: ScoreMetrics::new(&scored),
         reliability: rows,
         calibration_error,
@@ -248,11 +289,16 @@ mod tests {
         let scene = |possible: bool, success: bool| PrimitiveResult {
             possible,
             trials: vec![(Contestant::TopOne, vec![success])],
+            fates: vec![if success { Fate::Success } else { Fate::NoHold }],
             scored: vec![(0.9, success)],
         };
         let (a, b, c) = (scene(true, true), scene(true, false), scene(false, false));
         let row = row("pushing", &[&a, &b, &c]);
         assert_eq!((row.possible_scenes, row.rates[0].1.successes, row.rates[0].1.tries), (2, 1, 2));
         assert_eq!(row.score.trials, 3);
+        assert_eq!(
+            (row.count(Fate::Success), row.count(Fate::NoHold), row.count(Fate::NoApproach)),
+            (1, 1, 0)
+        );
     }
 }
