@@ -103,7 +103,7 @@ impl Validation {
         Self { all, random, figure }
     }
 
-    /// How far each primitive's logit must move for the best F-score on random trials to be at a score of 0.5. Training
+    /// How far each primitive's logit must move for the best F-score to be expected on random trials at a score of 0.5. Training
     /// shows successes and failures equally often, so its own 0.5 is far too generous for random trials.
     #[must_use]
     pub fn shifts(&self) -> Vec<f32> {
@@ -148,7 +148,7 @@ mod tests {
     use where2act_model::ModelConfig;
 
     #[test]
-    fn shifted_scores_have_their_best_f_score_at_one_half() {
+    fn shifted_scores_have_their_best_expected_f_score_at_one_half() {
         let mut rng = Seed(4).rng();
         // Scores of a network that calls three times too many trials successes.
         let scored: Vec<(f32, bool)> = (0..400)
@@ -164,8 +164,8 @@ mod tests {
         let moved: Vec<_> =
             scored.iter().map(|(s, y)| (1.0 / (1.0 + (-(logit(*s) + shift)).exp()), *y)).collect();
         let after = ScoreMetrics::new(&moved);
-        assert!((after.f_score - metrics.best_f_score).abs() < 1e-9, "{metrics:?} {after:?}");
-        assert!(after.f_score > metrics.f_score + 0.2);
+        assert!((after.best_threshold - 0.5).abs() < 1e-3, "{metrics:?} {after:?}");
+        assert!(after.f_score > metrics.f_score + 0.2 && after.f_score > metrics.best_f_score - 0.05);
 
         // The network does what the arithmetic above does.
         let config = ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(64);
