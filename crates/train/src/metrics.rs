@@ -115,7 +115,6 @@ fn expected_best_threshold(scored: &[(f32, bool)], successes: usize) -> f64 {
     if successes == 0 || successes == scored.len() {
         return 1.0;
     }
-    let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
     let logit = |score: f32| {
         let p = f64::from(score).clamp(1e-6, 1.0 - 1e-6);
         (p / (1.0 - p)).ln()
@@ -136,6 +135,10 @@ fn expected_best_threshold(scored: &[(f32, bool)], successes: usize) -> f64 {
     best.1
 }
 
+fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
 /// Intercept and slope of the logistic regression of outcomes on `x`, by Newton's method. A slope of 1, which leaves scores
 /// as they are, is worth one observation: it keeps outcomes that a threshold divides without error from having no bounds.
 fn logistic_fit(observed: &[(f64, bool)]) -> Vector2<f64> {
@@ -146,7 +149,7 @@ fn logistic_fit(observed: &[(f64, bool)]) -> Vector2<f64> {
         let mut curvature = Matrix2::new(1e-9, 0.0, 0.0, 1.0);
         for (x, outcome) in observed {
             let at = Vector2::new(1.0, *x);
-            let p = 1.0 / (1.0 + (-line.dot(&at)).exp());
+            let p = sigmoid(line.dot(&at));
             gradient += at * (f64::from(u8::from(*outcome)) - p);
             curvature += at * at.transpose() * (p * (1.0 - p));
         }

@@ -103,8 +103,8 @@ impl Validation {
         Self { all, random, figure }
     }
 
-    /// How far each primitive's logit must move for the best F-score to be expected on random trials at a score of 0.5. Training
-    /// shows successes and failures equally often, so its own 0.5 is far too generous for random trials.
+    /// How far each primitive's logit must move for the best F-score to be expected on random trials at a score of 0.5.
+    /// Training shows successes and failures equally often, so its own 0.5 is far too generous for random trials.
     #[must_use]
     pub fn shifts(&self) -> Vec<f32> {
         let shift = |m: &ScoreMetrics| {

@@ -6,7 +6,7 @@ mod places;
 
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, RngExt};
-use where2act_core::{Grasp, Pixel, Primitive};
+use where2act_core::{Grasp, Pixel, Primitive, Verdict};
 
 use self::clear::Clear;
 use self::places::Places;
@@ -99,8 +99,8 @@ impl<'a> Sampler<'a> {
             }
         };
         let q = self.scene.q()[link - 1];
-        let needed = where2act_core::Verdict::MIN_JOINT_MOTION.min(0.5 * joint.range());
-        let room = [joint.limits.1 - q > needed, q - joint.limits.0 > needed];
+        let room =
+            [joint.limits.1 - q, q - joint.limits.0].map(|room| Verdict::is_enough(room, joint.range()));
         Some(PointMotion { direction: velocity.try_normalize(1e-6)?, room, kind: joint.kind })
     }
 }
