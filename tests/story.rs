@@ -83,6 +83,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             candidates: 1024,
             surroundings: true,
             second_look: true,
+            ways: Some(2.0),
             alignments: 0,
         },
         batch: BatchConfig { views: 2, trials_per_view: 16, ..BatchConfig::default() },
@@ -96,7 +97,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             weight_decay: 1e-5,
             decay: Default::default(),
         },
-        loss: LossConfig { proposals: 8, ..LossConfig::default() },
+        loss: LossConfig { proposals: 8, motion: 1.0, ..LossConfig::default() },
         adaptive: Default::default(),
         collect: CollectConfig::default(),
     };

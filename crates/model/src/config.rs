@@ -78,6 +78,10 @@ pub struct ModelConfig {
     /// Whether the proposals that the score likes best are scored once more, from the scan as the hand would see it. Not in
     /// the published network. Ignored for pictures.
     pub second_look: bool,
+    /// How much a score's logit differs between a hand that wants a point to go where it can and one that wants it to go
+    /// where it cannot, if the features are asked for the ways of points at all ([`crate::MotionHead`]); 0 asks without
+    /// consequence. Published: none.
+    pub ways: Option<f32>,
     /// How inputs are prepared.
     pub preprocessing: Preprocessing,
 }
@@ -111,6 +115,7 @@ impl ModelConfig {
             surroundings: false,
             alignments: 0,
             second_look: false,
+            ways: None,
             preprocessing: Preprocessing::default(),
         }
     }
@@ -169,6 +174,8 @@ impl ModelConfig {
         check(small(self.latent), "latent", self.latent.to_string(), "a number in 1..=4096")?;
         let few = self.alignments <= 1024;
         check(few, "alignments", self.alignments.to_string(), "a number up to 1024")?;
+        let ways = self.ways.is_none_or(|ways| (0.0..=100.0).contains(&ways));
+        check(ways, "ways", format!("{:?}", self.ways), "none or a number in [0, 100]")?;
         let enough = (16..=1_000_000).contains(&self.points);
         check(enough, "points", self.points.to_string(), "a number in 16..=1000000")?;
         let p = &self.preprocessing;
@@ -208,6 +215,8 @@ struct RawModelConfig {
     alignments: usize,
     #[serde(default)]
     second_look: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    ways: Option<f32>,
     #[serde(default)]
     preprocessing: Preprocessing,
 }
@@ -237,6 +246,7 @@ impl From<ModelConfig> for RawModelConfig {
             surroundings,
             alignments,
             second_look,
+            ways,
             preprocessing,
         } = c;
         let schema = Schema::V1;
@@ -254,6 +264,7 @@ impl From<ModelConfig> for RawModelConfig {
             surroundings,
             alignments,
             second_look,
+            ways,
             preprocessing,
         }
     }
@@ -273,6 +284,7 @@ impl TryFrom<RawModelConfig> for ModelConfig {
             surroundings,
             alignments,
             second_look,
+            ways,
             preprocessing,
             ..
         } = raw;
@@ -289,6 +301,7 @@ impl TryFrom<RawModelConfig> for ModelConfig {
             surroundings,
             alignments,
             second_look,
+            ways,
             preprocessing,
         };
         config.validate()?;
@@ -313,6 +326,7 @@ mod tests {
             ("\"image_side\": 224", "\"image_side\": 225", "image_side is 225"),
             ("model/1", "model/2", "where2act.model/1"),
             ("\"latent\"", "\"latnet\"", "latnet"),
+            ("\"hidden\": 128", "\"hidden\": 128, \"ways\": -1.0", "ways is Some(-1.0)"),
         ] {
             let wrong = text.replace(from, to);
             assert_ne!(wrong, text, "{from}");

@@ -31,8 +31,9 @@ mod weights;
 pub use config::{ConfigError, Modality, ModelConfig, Preprocessing};
 pub use engine::{Engine, EngineError, Features, LastLayer, SurroundingsEngine};
 pub use heads::{
-    ActionabilityHead, Choice, Code, HAND_VIEWS, HandView, Heads, ProposalDecoder, ProposalEncoder,
-    ProposalHead, ScoreHead, SecondLook, SplitLinear, hand_frame, rotation_matrix, to_axes,
+    ActionabilityHead, Choice, Code, HAND_VIEWS, HandView, Heads, MotionHead, ProposalDecoder,
+    ProposalEncoder, ProposalHead, ScoreHead, SecondLook, SplitLinear, hand_frame, intended_axes,
+    rotation_matrix, to_axes,
 };
 pub use init::draw_weights;
 pub use network::{Backbone, Input, Network, gather};

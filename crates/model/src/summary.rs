@@ -177,6 +177,9 @@ fn heads(config: &ModelConfig) -> Vec<Block> {
         });
         blocks.push(views.block("heads.second_look"));
     }
+    if config.ways.is_some() {
+        blocks.push(Count::default().linear(f, 6, 1, rows).block("heads.motion"));
+    }
     blocks
 }
 
@@ -214,6 +217,7 @@ mod tests {
                 config.alignments = primitives.len() - 1;
                 config.actionability_hidden = (primitives.len() > 1).then_some(17);
                 config.second_look = modality == Modality::Cloud;
+                config.ways = (primitives.len() > 1).then_some(2.0);
                 let network = Network::new(&config, Seed(1), &Device::flex());
                 assert_eq!(Summary::new(&config).parameters(), trained(&network));
             }

@@ -19,7 +19,7 @@ pub struct TrainConfig {
     #[serde(default)]
     pub seed: u64,
     /// Weights to start from instead of random ones: the folder of a network of the same shape, e.g. `weights/cloud`.
-    /// It may lack a second look, and its actionability may be of another size; these start at random.
+    /// It may lack a second look and the head for ways, and its actionability may be of another size; these start at random.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<PathBuf>,
     /// Folders of earlier runs on the same data, of either modality, whose newest online trials, as many as `adaptive.buffer`
@@ -88,6 +88,10 @@ pub struct NetworkConfig {
     /// Whether the best proposals for a scan are scored once more, from the scan as the hand would see it. Not in the paper.
     #[serde(default)]
     pub second_look: bool,
+    /// How much it matters to a score whether the joint gives where the hand wants to go, in logits, if the features are
+    /// asked for the ways of points at all; 0 asks without consequence. The paper has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ways: Option<f32>,
 }
 
 /// What one step sees.
@@ -388,6 +392,7 @@ impl TrainConfig {
         model.alignments = n.alignments;
         model.surroundings = n.surroundings && n.modality == Modality::Cloud;
         model.second_look = n.second_look && n.modality == Modality::Cloud;
+        model.ways = n.ways;
         model.preprocessing.scan_candidates = n.candidates;
         model
     }
@@ -463,6 +468,8 @@ impl TrainConfig {
             schedule.look_steps.to_string(),
             "0 without loss.motion or loss.normal",
         )?;
+        let answers = loss.motion == 0.0 || self.network.ways.is_some();
+        check(answers, "network.ways", "none".to_owned(), "a number, as loss.motion asks for ways")?;
         let own = self.adaptive.own;
         check((0.0..=1.0).contains(&own), "adaptive.own", own.to_string(), "0 to 1")?;
         let guided = self.collect.guided;

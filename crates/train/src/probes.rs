@@ -1,4 +1,4 @@
-//! What training alone asks: which ways each point can go, and which way a surface faces. Thousands of trials say little
+//! What scenes know without trials: which ways each point can go, and which way a surface faces. Thousands of trials say little
 //! about where a hinge is; the scene knows it, and a backbone that can tell has learnt what all heads need.
 
 use burn::module::Module;
@@ -11,22 +11,19 @@ use where2act_model::{ModelConfig, Network, draw_weights};
 
 use crate::config::LossConfig;
 
-/// What a run trains: the network, and probes that stay behind when training is over.
+/// What a run trains: the network, and a probe that stays behind when training is over.
 #[derive(Module, Debug)]
 pub struct Learner {
     /// What predicts.
     pub network: Network,
-    /// Feature -> the two [`Ways`] of its point, in either order; `None` where the configuration does not ask for it.
-    pub motion: Option<Probe>,
     /// Feature -> normal of its surface, camera frame; `None` where the configuration does not ask for it.
     pub normal: Option<Probe>,
 }
 
-/// A question to the features that has nothing to do with hands. It is linear, as the score's alignments are, so that the
-/// answer stands in the features as these need it.
+/// A question to the features that has nothing to do with hands.
 #[derive(Module, Debug)]
 pub struct Probe {
-    /// Weight `[features, answers]`.
+    /// Weight `[features, 3]`.
     pub linear: Linear,
 }
 
@@ -38,27 +35,24 @@ pub type Ways = [Vector3<f32>; 2];
 const LEVERAGE: f32 = 0.1;
 
 impl Learner {
-    /// A network and the probes that a configuration asks for, with weights that depend on the seed alone.
+    /// A network and the probe that a configuration asks for, with weights that depend on the seed alone.
     #[must_use]
     pub fn new(network: Network, loss: &LossConfig, seed: Seed) -> Self {
         let (config, device) = (network.config().clone(), network.device());
-        let probe = |weight: f32, name: &str, answers: usize| {
-            let draw = || draw_weights(Probe::new(&config, answers, &device), seed.child(name, 0));
-            (weight > 0.0).then(draw)
-        };
-        Self { motion: probe(loss.motion, "motion", 6), normal: probe(loss.normal, "normal", 3), network }
+        let draw = || draw_weights(Probe::new(&config, &device), seed.child("normal", 0));
+        Self { normal: (loss.normal > 0.0).then(draw), network }
     }
 }
 
 impl Probe {
     /// A probe for the features of a network, with weights that wait to be drawn.
-    fn new(config: &ModelConfig, answers: usize, device: &Device) -> Self {
-        let linear = LinearConfig::new(config.features, answers).with_initializer(Initializer::Zeros);
+    fn new(config: &ModelConfig, device: &Device) -> Self {
+        let linear = LinearConfig::new(config.features, 3).with_initializer(Initializer::Zeros);
         Self { linear: linear.init(device) }
     }
 
     /// # Shapes
-    /// `[q, features]` -> `[q, answers]`
+    /// `[q, features]` -> `[q, 3]`
     #[must_use]
     pub fn forward(&self, features: Tensor<2>) -> Tensor<2> {
         self.linear.forward(features)

@@ -397,7 +397,7 @@ impl Run<'_> {
     /// How much the ways that points of validation scenes can go differ from those the features tell.
     fn motion(&self, seed: Seed) -> Result<Option<f32>, TrainError> {
         let learner = self.state.learner.clone().valid();
-        if learner.motion.is_none() {
+        if learner.network.heads.motion.is_none() || self.config.loss.motion == 0.0 {
             return Ok(None);
         }
         let mut source = Source::new(

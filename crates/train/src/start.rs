@@ -49,8 +49,8 @@ pub(crate) fn first_weights(
         return Ok(Learner::new(network, &config.loss, seed));
     };
     let network = Weights::load(folder, device)?.network;
-    // What does not change the shape of any parameter may differ, a second look may be added, and the actionability may be
-    // of another size: then it is learnt anew.
+    // What does not change the shape of any parameter may differ, a second look and the ways may be added, and the
+    // actionability may be of another size: then it is learnt anew.
     let found = network.config().clone();
     let comparable = ModelConfig {
         name: model.name.clone(),
@@ -58,6 +58,7 @@ pub(crate) fn first_weights(
         preprocessing: model.preprocessing.clone(),
         actionability_hidden: model.actionability_hidden,
         second_look: found.second_look || model.second_look,
+        ways: model.ways.or(found.ways),
         ..found
     };
     if comparable != *model {

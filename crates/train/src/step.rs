@@ -12,7 +12,7 @@ use where2act_model::{Choice, Heads, Input, Network, SecondLook, to_axes};
 
 use crate::batch::{Batch, BatchInput, Queries};
 use crate::config::LossConfig;
-use crate::probes::{Learner, Probe, Ways, difference};
+use crate::probes::{Learner, Ways, difference};
 
 /// Losses of a step before they are weighted. They stay tensors until somebody wants to read them.
 #[derive(Clone, Debug, Default)]
@@ -65,7 +65,7 @@ pub enum Phase {
 /// Forward pass of a batch and its losses.
 #[must_use]
 pub fn forward(
-    Learner { network, motion, normal }: &Learner,
+    Learner { network, normal }: &Learner,
     batch: &Batch,
     phase: Phase,
     config: &LossConfig,
@@ -82,13 +82,15 @@ pub fn forward(
         }
         BatchInput::Clouds(hierarchy) => network.features_at(Input::Clouds(hierarchy), &queries.places),
     };
-    let ask = |probe: &Option<Probe>| probe.as_ref().map(|probe| probe.forward(features.clone()));
-    let motion = ask(motion).map(|thought| {
+    let asked = network.heads.motion.as_ref().filter(|_| config.motion > 0.0);
+    let motion = asked.map(|head| {
+        let thought = head.ways(features.clone());
         let flat = |[a, b]: Ways| [a.x, a.y, a.z, b.x, b.y, b.z];
         let (ways, known) = answers(queries.ways.iter().map(|ways| ways.map(flat)), &device);
         weighted_mean(difference(thought, ways), known)
     });
-    let normal = ask(normal).map(|thought| {
+    let normal = normal.as_ref().map(|probe| {
+        let thought = probe.forward(features.clone());
         let (normals, known) = answers(queries.normals.iter().map(|normal| normal.map(Into::into)), &device);
         let [q, _] = thought.dims();
         weighted_mean((thought - normals).powi_scalar(2).sum_dim(1).reshape([q]), known)
@@ -194,10 +196,12 @@ fn actionability_target(
         queries.outputs.iter().flat_map(|&output| std::iter::repeat_n(output, proposals)).collect();
     let choice = Choice::new(&repeated, outputs, &device);
     let axes = to_axes(choice.pick_rows(raw.reshape([q * proposals, outputs, 6])));
-    let hands = heads.score.hands(features.clone(), axes.reshape([q, proposals, 6]));
-    let halves = heads.score.feature_half(features).unsqueeze_dim::<3>(1)
+    let axes = axes.reshape([q, proposals, 6]);
+    let hands = heads.score.hands(features.clone(), axes.clone());
+    let halves = heads.score.feature_half(features.clone()).unsqueeze_dim::<3>(1)
         + heads.score.hand_half(hands).reshape([q, proposals, hidden]);
-    let logits = choice.pick(heads.score.from_halves(halves.reshape([q * proposals, hidden])));
+    let logits = heads.score.from_halves(halves.reshape([q * proposals, hidden]));
+    let logits = choice.pick(heads.with_ways(logits, features, axes));
     let scores = sigmoid(logits).reshape([q, proposals]);
     if config.best == 0 {
         scores.mean_dim(1).reshape([q])

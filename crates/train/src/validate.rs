@@ -73,11 +73,13 @@ pub fn score_record(
     let orientations: Vec<f32> = orientations.iter().flat_map(|orientation| orientation.0).collect();
     let orientations = Tensor::<2>::from_data(TensorData::new(orientations, [trials.len(), 6]), &device);
     let Heads { score, second_look, .. } = &network.heads;
-    let hands = score.hands(features.clone(), orientations.unsqueeze_dim(1));
+    let axes = orientations.unsqueeze_dim(1);
+    let hands = score.hands(features.clone(), axes.clone());
     let logits = match second_look {
-        Some(look) => look.forward(features, hands, &hand_views),
-        None => score.forward_hands(features, hands),
+        Some(look) => look.forward(features.clone(), hands, &hand_views),
+        None => score.forward_hands(features.clone(), hands),
     };
+    let logits = network.heads.with_ways(logits, features, axes);
     let choice = Choice::new(&outputs, config.primitives.len(), &device);
     let scores = sigmoid(choice.pick(logits)).into_data().convert::<f32>();
     let scores = scores.as_slice::<f32>().unwrap_or_default();

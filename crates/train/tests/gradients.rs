@@ -35,6 +35,7 @@ fn config(modality: Modality) -> TrainConfig {
             surroundings: true,
             alignments: 3,
             second_look: true,
+            ways: Some(2.0),
         },
         batch: BatchConfig {
             views: 2,
@@ -127,7 +128,7 @@ fn the_gradient_of_a_step_is_how_its_loss_changes() {
         }
         check(&name("score"), &learner, &batch, &still, |l| &l.network.heads.score);
         check(&name("proposal"), &learner, &batch, &still, |l| &l.network.heads.proposal);
-        check(&name("motion"), &learner, &batch, &still, |l| &l.motion);
+        check(&name("motion"), &learner, &batch, &still, |l| &l.network.heads.motion);
         check(&name("normal"), &learner, &batch, &still, |l| &l.normal);
         check(&name("actionability"), &learner, &batch, &config.loss, |l| &l.network.heads.actionability);
     }

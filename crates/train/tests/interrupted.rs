@@ -29,6 +29,7 @@ latent = 4
 points = 256
 candidates = 256
 alignments = 2
+ways = 2.0
 [batch]
 views = 2
 trials_per_view = 16

@@ -15,6 +15,7 @@ use super::frames::{self, LANES};
 use super::plain::Plain;
 use super::second_look::SecondLook;
 use super::sigmoid;
+use super::ways::Ways;
 use crate::Error;
 
 /// Slope of the heads' hidden activation for negative numbers, as in the model crate.
@@ -48,6 +49,8 @@ pub(crate) struct DecodingHeads {
     hand: Hand,
     /// A logit, per primitive.
     scores: Vec<Output>,
+    /// What the ways of the points add to scores, if the network has them.
+    ways: Option<Ways>,
     /// The second score, if the network has one.
     pub(crate) second_look: Option<SecondLook>,
 }
@@ -105,13 +108,14 @@ impl DecodingHeads {
             latent: config.latent,
             actionability,
             logits: logits.into_iter().next().unwrap_or(Output { weights: vec![], bias: vec![] }),
-            proposal_feature: mlp(isa, &proposal_feature)?,
+            proposal_feature: proposal_feature.mlp(isa)?,
             code,
             proposals: Output::of(&heads.proposal.decoder.mlp2, primitives, hidden)?,
-            score_feature: mlp(isa, &score_feature)?,
+            score_feature: score_feature.mlp(isa)?,
             hand: Hand::new(isa, &heads.score, hand, hidden, last)?,
             scores: Output::of(&heads.score.mlp2, primitives, hidden)?,
-            second_look: SecondLook::new(isa, heads, last)?,
+            ways: Ways::new(isa, heads, config, last)?,
+            second_look: SecondLook::new(isa, heads, config, last)?,
         })
     }
 
@@ -158,12 +162,14 @@ impl DecodingHeads {
         let of_proposals = run(&self.proposal_feature, &own, None)?;
         let of_scores = run(&self.score_feature, &own, None)?;
         let hands = self.hand.at(&own, candidates.len())?;
+        let ways = self.ways.as_ref().map(|head| head.at(&own)).transpose()?.unwrap_or_default();
         let (one, columns) = (hands.len() / candidates.len().max(1), codes.table.len() / self.hidden);
         of_proposals
             .par_chunks_exact(self.hidden)
             .zip(of_scores.par_chunks_exact(self.hidden))
             .zip(hands.par_chunks_exact(one.max(1)))
-            .map(|((of_proposals, of_scores), hand)| {
+            .enumerate()
+            .map(|(candidate, ((of_proposals, of_scores), hand))| {
                 let mut raw = vec![0.0; 6 * columns];
                 let net = proposal.after(&[], of_proposals);
                 net.columns(self.isa, &[], Some(&codes.table), &mut raw).map_err(failed)?;
@@ -172,6 +178,9 @@ impl DecodingHeads {
                 let mut scores = vec![0.0; columns];
                 let net = score.after(hand, of_scores);
                 net.columns(self.isa, seen, None, &mut scores).map_err(failed)?;
+                if let (Some(head), Some(ways)) = (&self.ways, ways.get(candidate)) {
+                    head.add(ways, output, &axes, &mut scores);
+                }
                 scores.iter_mut().for_each(|logit| *logit = sigmoid(*logit));
                 scores.truncate(codes.samples);
                 Ok(Tried { axes, scores })
@@ -210,7 +219,7 @@ impl Hand {
         let align = align.ordered(|i| i % alignments * AXES + i / alignments);
         let mix = Plain { weights: weights.split_off(SEEN * hidden), bias: vec![0.0; hidden] };
         weights.resize(AXES * hidden, 0.0);
-        Ok(Self { axes: weights, align: Some((mlp(isa, &align)?, mlp(isa, &mix)?)) })
+        Ok(Self { axes: weights, align: Some((align.mlp(isa)?, mix.mlp(isa)?)) })
     }
 
     /// The matrices at `count` features, each as large as `axes`.
@@ -244,10 +253,6 @@ impl Output {
     fn after<'a>(&'a self, first: &'a [f32], start: &'a [f32]) -> Perceptron<'a> {
         Perceptron { first, start, slope: LEAK, second: &self.weights, bias: &self.bias }
     }
-}
-
-fn mlp(isa: Isa, layer: &Plain) -> Result<Mlp, Error> {
-    Mlp::new(isa, layer.inputs(), &[layer.layer()]).map_err(failed)
 }
 
 /// Rows through an MLP; each result starts from the row of the table that belongs to it.

@@ -8,6 +8,7 @@ mod second_look;
 mod select;
 #[cfg(test)]
 mod tests;
+mod ways;
 
 pub(crate) use candidates::Places;
 pub(crate) use heads::{Codes, DecodingHeads, Tried};

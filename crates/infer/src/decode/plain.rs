@@ -2,9 +2,10 @@
 
 use burn::nn::Linear;
 use burn::tensor::Tensor;
-use where2act_kernels::{Activation, MlpLayer};
+use where2act_kernels::{Activation, Isa, Mlp, MlpLayer};
 use where2act_model::LastLayer;
 
+use super::heads::failed;
 use crate::Error;
 
 /// A linear layer: weights `[inputs, outputs]`.
@@ -74,6 +75,11 @@ impl Plain {
     pub(super) fn split(mut self, inputs: usize) -> (Self, Vec<f32>) {
         let others = self.weights.split_off((inputs * self.outputs()).min(self.weights.len()));
         (self, others)
+    }
+
+    /// The layer alone, compiled.
+    pub(super) fn mlp(&self, isa: Isa) -> Result<Mlp, Error> {
+        Mlp::new(isa, self.inputs(), &[self.layer()]).map_err(failed)
     }
 
     pub(super) fn layer(&self) -> MlpLayer<'_> {

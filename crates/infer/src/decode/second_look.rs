@@ -3,10 +3,11 @@
 use where2act_core::Orientation6;
 use where2act_kernels::{Activation, Isa, Mlp, MlpLayer};
 use where2act_model::preprocess::CloudInput;
-use where2act_model::{Heads, LastLayer, SurroundingsEngine, hand_frame};
+use where2act_model::{Heads, LastLayer, ModelConfig, SurroundingsEngine, hand_frame};
 
 use super::heads::{AXES, LEAK, failed, run};
 use super::plain::Plain;
+use super::ways::Ways;
 use super::{Scored, sigmoid};
 use crate::Error;
 
@@ -22,25 +23,30 @@ pub(crate) struct SecondLook {
     around: SurroundingsEngine,
     /// (feature, axes, alignments, surroundings) -> a logit per primitive.
     net: Mlp,
+    /// What the ways of the points add to it.
+    ways: Option<Ways>,
 }
 
 impl SecondLook {
     /// `None` if the network has none.
-    pub(super) fn new(isa: Isa, heads: &Heads, last: Option<&LastLayer>) -> Result<Option<Self>, Error> {
+    pub(super) fn new(
+        isa: Isa,
+        heads: &Heads,
+        config: &ModelConfig,
+        last: Option<&LastLayer>,
+    ) -> Result<Option<Self>, Error> {
         let Some(look) = &heads.second_look else { return Ok(None) };
         let first = Plain::of(&look.mlp1.linear)?.after(last);
         let second = Plain::of(&look.mlp2)?;
         let hidden =
             MlpLayer { weights: &first.weights, bias: &first.bias, activation: Activation::Leaky(LEAK) };
-        let align = heads.score.align.as_ref().map(|align| {
-            let align = Plain::of(align)?.after(last);
-            Mlp::new(isa, align.inputs(), &[align.layer()]).map_err(failed)
-        });
+        let align = heads.score.align.as_ref().map(|align| Plain::of(align)?.after(last).mlp(isa));
         Ok(Some(Self {
             features: last.map_or(look.mlp1.features, |last| last.weights.len() / last.bias.len().max(1)),
             align: align.transpose()?,
             around: SurroundingsEngine::new(isa, &look.views).map_err(failed)?,
             net: Mlp::new(isa, first.inputs(), &[hidden, second.layer()]).map_err(failed)?,
+            ways: Ways::new(isa, heads, config, last)?,
         }))
     }
 
@@ -80,7 +86,13 @@ impl SecondLook {
         let width = seen.len() / hands.len().max(1);
         let rows = self.around.describe(&seen, width, &cloud.hand_views(&frames)).map_err(failed)?;
         let logits = run(&self.net, &rows, None)?;
-        let of_output = logits.into_iter().skip(output).step_by(self.net.outputs());
+        let mut of_output: Vec<f32> = logits.into_iter().skip(output).step_by(self.net.outputs()).collect();
+        if let Some(head) = &self.ways {
+            for ((ways, frame), logit) in head.at(&own)?.iter().zip(&frames).zip(&mut of_output) {
+                let [forward, left, approach] = frame.axes;
+                head.add(ways, output, &[approach, forward, left].concat(), std::slice::from_mut(logit));
+            }
+        }
         Ok(hands
             .into_iter()
             .zip(of_output)

@@ -66,7 +66,9 @@ fn check(network: &Network, last: Option<&LastLayer>, rows: &[f32], candidates: 
             let raw = model.proposal.decode(feature.clone(), z.clone());
             let raw = raw.slice([0..samples, of_output.clone(), 0..6]).reshape([samples, 6]);
             let axes = to_axes(raw.clone());
-            let logits = model.score.forward(feature, axes.clone()).slice([0..samples, of_output]);
+            let logits = model.score.forward(feature.clone(), axes.clone());
+            let logits = model.with_ways(logits, feature, axes.clone().unsqueeze_dim(1));
+            let logits = logits.slice([0..samples, of_output]);
             let (axes, logits) = (numbers(axes).unwrap(), numbers(logits).unwrap());
             assert_eq!(found.scores.len(), samples);
             for (sample, &score) in found.scores.iter().enumerate() {
@@ -89,7 +91,7 @@ fn decoding_equals_the_heads_of_the_model() {
     for (hidden, alignments, dense) in [(40, 5, None), (40, 0, Some(24)), (256, 16, Some(64))] {
         let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL[1..4]);
         (config.hidden, config.latent, config.alignments) = (hidden, 7, alignments);
-        config.actionability_hidden = dense;
+        (config.actionability_hidden, config.ways) = (dense, (alignments > 0).then_some(3.0));
         let network = Network::new(&config, Seed(3), &Device::flex());
         check(&network, None, &noise(50 * 128), &[49, 3]);
         let last = LastLayer { weights: noise(32 * 128), bias: noise(128) };
@@ -104,6 +106,7 @@ fn a_second_look_equals_the_models() {
     for alignments in [0, 5] {
         let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL[1..4]).with_points(64);
         (config.hidden, config.alignments, config.second_look) = (40, alignments, true);
+        config.ways = (alignments > 0).then_some(3.0);
         let network = Network::new(&config, Seed(3), &Device::flex());
         let heads = DecodingHeads::new(&network.heads, &config, None).unwrap();
         let points: Vec<Point3<f32>> =
@@ -129,8 +132,10 @@ fn a_second_look_equals_the_models() {
         let axes: Vec<f32> = orientations.iter().flat_map(|o| o.0).collect();
         let (score, look) = (&network.heads.score, network.heads.second_look.as_ref().unwrap());
         let own = tensor(&own, 128);
-        let seen = score.hands(own.clone(), tensor(&axes, 6).unsqueeze_dim(1));
-        let logits = numbers(look.forward(own, seen, &cloud.hand_views(&frames))).unwrap();
+        let axes = tensor(&axes, 6).unsqueeze_dim(1);
+        let seen = score.hands(own.clone(), axes.clone());
+        let logits = look.forward(own.clone(), seen, &cloud.hand_views(&frames));
+        let logits = numbers(network.heads.with_ways(logits, own, axes)).unwrap();
         for output in 0..3 {
             let found =
                 heads.second_look.as_ref().unwrap().score(&features, &cloud, &rows, hands.clone(), output);

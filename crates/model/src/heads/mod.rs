@@ -4,6 +4,7 @@
 //! `[approach, forward]`, everywhere.
 
 mod actionability;
+mod motion;
 mod proposal;
 mod rotation;
 mod score;
@@ -18,6 +19,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 use crate::config::ModelConfig;
 use crate::layers::linear;
 pub use actionability::ActionabilityHead;
+pub use motion::{MotionHead, intended_axes};
 pub use proposal::{Code, ProposalDecoder, ProposalEncoder, ProposalHead};
 pub use rotation::{rotation_matrix, to_axes};
 pub(crate) use score::ALIGNED;
@@ -35,6 +37,8 @@ pub struct Heads {
     pub proposal: ProposalHead,
     /// How likely the best of them really are to succeed; `None` in the published network.
     pub second_look: Option<SecondLook>,
+    /// Which ways a point can go; `None` in the published network.
+    pub motion: Option<MotionHead>,
 }
 
 impl Heads {
@@ -44,6 +48,20 @@ impl Heads {
             score: ScoreHead::new(config, device),
             proposal: ProposalHead::new(config, device),
             second_look: config.second_look.then(|| SecondLook::new(config, device)),
+            motion: MotionHead::new(config, device),
+        }
+    }
+
+    /// Logits of a score, first or second, with what the ways of their points add to them.
+    ///
+    /// # Shapes
+    /// logits `[n * each, primitives]`, features `[n, features]`, orthonormal axes `[n, each, 6]` ->
+    /// `[n * each, primitives]`
+    #[must_use]
+    pub fn with_ways(&self, logits: Tensor<2>, features: Tensor<2>, orientations: Tensor<3>) -> Tensor<2> {
+        match &self.motion {
+            Some(motion) => logits + motion.gain(features, orientations),
+            None => logits,
         }
     }
 }

@@ -2,9 +2,9 @@
 
 use burn::optim::GradientsParams;
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use proptest::prelude::*;
-use where2act_core::{Orientation6, Primitive, Seed, orthonormal_frame};
+use where2act_core::{Grasp, Orientation6, Primitive, Seed, orthonormal_frame};
 
 use super::{Choice, rotation_matrix, to_axes};
 use crate::config::{Modality, ModelConfig};
@@ -112,6 +112,41 @@ fn halves_make_the_whole_and_each_primitive_has_its_own_output() {
     assert_eq!(values(choice.pick_rows(proposals)), picked);
     assert_eq!(heads.proposal.encode(features.clone(), orientations, &choice).mean.dims(), [5, 10]);
     assert_eq!(heads.actionability.forward(features).dims(), [5, 6]);
+}
+
+#[test]
+fn a_hand_gains_where_its_point_can_go() {
+    let mut config = ModelConfig::new(Modality::Cloud, &Primitive::ALL);
+    config.ways = Some(3.0);
+    for device in devices() {
+        let heads = Network::new(&config, Seed(3), &device).heads;
+        let motion = heads.motion.clone().unwrap();
+        let random = |shape: [usize; 2]| Tensor::<2>::random(shape, Distribution::Normal(0.0, 1.0), &device);
+        let (features, axes) = (random([2, 128]), to_axes(random([6, 6])));
+        let ways: Vec<Vector3<f32>> = values(motion.ways(features.clone()))
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|way| Vector3::from(*way))
+            .collect();
+        let hands = axes.clone().reshape([2, 3, 6]);
+        let gained = values(motion.gain(features.clone(), hands.clone()));
+        let mut expected = Vec::new();
+        for (hand, axes) in values(axes).as_chunks::<6>().0.iter().enumerate() {
+            let grasp = Grasp { point: Point3::origin(), rotation: Orientation6(*axes).to_rotation() };
+            for primitive in Primitive::ALL {
+                let wanted = primitive.intended_direction(&grasp);
+                let reach =
+                    ways[hand / 3 * 2..][..2].iter().map(|way| way.dot(&wanted)).fold(f32::MIN, f32::max);
+                expected.push(3.0 * (reach - 0.5));
+            }
+        }
+        assert!(furthest(&gained, &expected) < 1e-4, "{gained:?}, {expected:?}");
+        let logits = Tensor::<2>::ones([6, 6], &device);
+        let sum = values(heads.with_ways(logits, features, hands));
+        expected.iter_mut().for_each(|gain| *gain += 1.0);
+        assert!(furthest(&sum, &expected) < 1e-4);
+    }
 }
 
 #[test]
