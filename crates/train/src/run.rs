@@ -61,6 +61,12 @@ pub enum TrainError {
         /// What differs.
         what: &'static str,
     },
+    /// Another program trains in this folder.
+    #[error("{}: another program is training here; wait for it, or start another run with --out", path.display())]
+    Busy {
+        /// The run's folder.
+        path: PathBuf,
+    },
     /// The run whose trials are wanted had other data.
     #[error("{}: expected a run on the same data with its config.toml as it was, found another", path.display())]
     OtherData {
@@ -183,6 +189,8 @@ const AHEAD: usize = 2;
 
 /// Names of the files in a run's folder.
 pub mod files {
+    /// Locked while a program trains in the folder; empty.
+    pub const LOCK: &str = ".lock";
     /// The configuration.
     pub const CONFIG: &str = "config.toml";
     /// One JSON line per step and epoch.
@@ -217,6 +225,8 @@ pub fn train<'a>(
     let mut validation_scenes = dataset.scenes(Part::Validation)?;
     validation_scenes.truncate(VALIDATION_SCENES);
 
+    // Held until the run ends, however it ends.
+    let _lock = lock(out)?;
     let fingerprint = prepare_folder(config, &dataset, out)?;
     let model = with_scan_radius(config, &dataset, &train_scenes)?;
     let fresh = State {
@@ -475,6 +485,21 @@ fn report(
         normal: read(&losses.normal),
         rate,
         secs,
+    }
+}
+
+/// Keeps other programs out of the run's folder until the file is closed.
+fn lock(out: &Path) -> Result<fs::File, TrainError> {
+    let path = out.join(files::LOCK);
+    let open = || {
+        fs::create_dir_all(out)?;
+        fs::OpenOptions::new().create(true).write(true).truncate(false).open(&path)
+    };
+    let file = open().map_err(|e| io(&path, e))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(fs::TryLockError::WouldBlock) => Err(TrainError::Busy { path: out.to_owned() }),
+        Err(fs::TryLockError::Error(error)) => Err(io(&path, error)),
     }
 }
 

@@ -117,6 +117,20 @@ fn an_interrupted_run_ends_with_the_same_bits() {
 }
 
 #[test]
+fn two_programs_do_not_train_in_one_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 12);
+    let run = folder.path().join("run");
+    train_for(&config(2, 4), &data, &run, 1).unwrap();
+    let other = std::fs::File::open(run.join(files::LOCK)).unwrap();
+    other.try_lock().unwrap();
+    let error = train_for(&config(2, 4), &data, &run, 1).unwrap_err();
+    assert!(matches!(error, TrainError::Busy { .. }), "{error}");
+    drop(other);
+    train_for(&config(2, 4), &data, &run, usize::MAX).unwrap();
+}
+
+#[test]
 fn what_can_be_learnt_is_learnt() {
     let folder = tempfile::tempdir().unwrap();
     let data = data(&folder.path().join("data"), 40);
