@@ -174,8 +174,8 @@ impl ModelConfig {
         check(small(self.latent), "latent", self.latent.to_string(), "a number in 1..=4096")?;
         let few = self.alignments <= 1024;
         check(few, "alignments", self.alignments.to_string(), "a number up to 1024")?;
-        let ways = self.ways.is_none_or(|ways| (0.0..=100.0).contains(&ways));
-        check(ways, "ways", format!("{:?}", self.ways), "none or a number in [0, 100]")?;
+        let ways = self.ways.unwrap_or(0.0);
+        check((0.0..=100.0).contains(&ways), "ways", ways.to_string(), "a number in [0, 100]")?;
         let enough = (16..=1_000_000).contains(&self.points);
         check(enough, "points", self.points.to_string(), "a number in 16..=1000000")?;
         let p = &self.preprocessing;
@@ -326,7 +326,7 @@ mod tests {
             ("\"image_side\": 224", "\"image_side\": 225", "image_side is 225"),
             ("model/1", "model/2", "where2act.model/1"),
             ("\"latent\"", "\"latnet\"", "latnet"),
-            ("\"hidden\": 128", "\"hidden\": 128, \"ways\": -1.0", "ways is Some(-1.0)"),
+            ("\"hidden\": 128", "\"hidden\": 128, \"ways\": -1.0", "ways is -1"),
         ] {
             let wrong = text.replace(from, to);
             assert_ne!(wrong, text, "{from}");

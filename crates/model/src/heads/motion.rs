@@ -16,9 +16,9 @@ const WAYS: usize = 6;
 /// Feature -> the two ways its point can go, camera frame: of length 1, shorter where a turning part has little leverage,
 /// zero where it is blocked. Not in the published network.
 ///
-/// It learns from what scenes know, not from trials, and so from many more objects than the scores do. A score that the best
-/// of thousands of hands got is too good as often as not; whether the joint gives where the hand wants to go is an opinion
-/// of another source, and is added to it. The answer is linear in the feature, as the score's alignments are, so that it
+/// It learns from what scenes know, not from trials, and so from many more objects than the scores do. The best score of
+/// thousands is often one that is wrong; whether the joint gives where the hand wants to go is an opinion from another source,
+/// and is added to it (`weights/EXPERIMENTS.md` has what that is worth). The answer is linear in the feature, as the score's alignments are, so that it
 /// stands in the features as these need it.
 #[derive(Module, Debug)]
 pub struct MotionHead {
