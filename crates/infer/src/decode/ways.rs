@@ -27,7 +27,7 @@ impl Ways {
         config: &ModelConfig,
         last: Option<&LastLayer>,
     ) -> Result<Option<Self>, Error> {
-        let Some(head) = heads.motion.as_ref().filter(|head| head.weight() != 0.0) else { return Ok(None) };
+        let Some(head) = heads.heeded_ways() else { return Ok(None) };
         let net = Plain::of(&head.linear)?.after(last).mlp(isa)?;
         let intended = config.primitives.iter().copied().map(intended_axes).collect();
         Ok(Some(Self { net, weight: head.weight(), intended }))

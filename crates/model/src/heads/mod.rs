@@ -52,6 +52,12 @@ impl Heads {
         }
     }
 
+    /// The head for ways, if scores heed it.
+    #[must_use]
+    pub fn heeded_ways(&self) -> Option<&MotionHead> {
+        self.motion.as_ref().filter(|head| head.weight() != 0.0)
+    }
+
     /// Logits of a score, first or second, with what the ways of their points add to them.
     ///
     /// # Shapes
@@ -59,7 +65,7 @@ impl Heads {
     /// `[n * each, primitives]`
     #[must_use]
     pub fn with_ways(&self, logits: Tensor<2>, features: Tensor<2>, orientations: Tensor<3>) -> Tensor<2> {
-        match &self.motion {
+        match self.heeded_ways() {
             Some(motion) => logits + motion.gain(features, orientations),
             None => logits,
         }
