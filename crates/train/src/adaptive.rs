@@ -37,13 +37,14 @@ pub fn count(trials: &NewTrials, policy: Policy) -> (usize, usize) {
 }
 
 /// New trials on randomly drawn scenes of `scenes`: on each of them some are the network's own best proposals and the
-/// others random, primitives taking turns. `progress` is called after every scene.
+/// others random, primitives taking turns. Each folder of the data has its own preparer. `progress` is called after every
+/// scene.
 ///
 /// # Errors
 /// Any [`ExploreError`].
 pub fn explore(
     network: &Network,
-    preparer: &Preparer,
+    preparers: &[Preparer],
     dataset: &Dataset,
     scenes: &[SceneId],
     config: &AdaptiveConfig,
@@ -56,7 +57,7 @@ pub fn explore(
     let one = |(i, scene): (usize, usize)| {
         let id = scenes[scene];
         let info = &dataset.shards()[id.shard].scenes()[id.scene];
-        let prep = preparer.restore(info)?;
+        let prep = preparers[dataset.folder_of(id.shard)].restore(info)?;
         let trials = explore_scene(&predictor, &prep, config, seed.child("scene", i as u64))?;
         progress();
         Ok((id, trials))

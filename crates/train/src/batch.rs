@@ -18,6 +18,7 @@ use crate::probes::{self, Ways};
 use crate::questions::{self, Ground, Question};
 use crate::replay::Replay;
 use crate::sensor;
+use crate::step::Phase;
 
 /// What the network is shown and asked.
 #[derive(Clone, Debug)]
@@ -128,15 +129,23 @@ pub struct Source {
 }
 
 impl Source {
-    /// A source for a run.
+    /// A source for a phase of a run. Looking takes any of the scenes; all else needs those with trials, older or newer.
     #[must_use]
     pub fn new(
         dataset: Arc<Dataset>,
-        scenes: Arc<[SceneId]>,
+        scenes: &[SceneId],
         replay: Arc<Replay>,
         config: &TrainConfig,
+        phase: Phase,
     ) -> Self {
-        let (model, batch, seed) = (config.model(), config.batch.clone(), config.root_seed());
+        let (model, mut batch, seed) = (config.model(), config.batch.clone(), config.root_seed());
+        let scenes = if phase == Phase::Look {
+            batch.places_per_view = batch.looks_per_view;
+            scenes.into()
+        } else {
+            let newer = replay.scenes();
+            scenes.iter().copied().filter(|id| dataset.is_tried(*id) || newer.contains(id)).collect()
+        };
         Self { dataset, scenes, replay, model, config: batch, seed }
     }
 

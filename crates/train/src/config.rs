@@ -111,8 +111,10 @@ pub struct BatchConfig {
     pub mirrored: f32,
     /// Whether hands that push or pull are turned half round about their approach at random, which changes nothing.
     pub half_turns: bool,
-    /// Further places of a view at which only actionability is learnt.
+    /// Further places of a view at which only actionability is learnt, and what the scene knows.
     pub places_per_view: usize,
+    /// Places of a view in the steps that only look.
+    pub looks_per_view: usize,
     /// Share of the scans that are seen as through a depth camera, with noise and holes. The paper's are rendered.
     pub measured: f32,
 }
@@ -156,7 +158,8 @@ pub enum Decay {
         /// Multiplied with the rate.
         factor: f64,
     },
-    /// Half a cosine from the full rate to a hundredth at the last step.
+    /// Half a cosine from the full rate to a hundredth at the last step, and another one before it from the first look
+    /// to the last.
     Cosine,
 }
 
@@ -202,6 +205,8 @@ pub struct AdaptiveConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CollectConfig {
+    /// Further scenes without trials, for the steps that only look.
+    pub looks: u64,
     /// Scenes.
     pub scenes: u64,
     /// Trials on each.
@@ -222,6 +227,7 @@ impl Default for BatchConfig {
             mirrored: 0.0,
             half_turns: false,
             places_per_view: 16,
+            looks_per_view: 128,
             measured: 0.0,
         }
     }
@@ -274,7 +280,7 @@ impl Default for AdaptiveConfig {
 
 impl Default for CollectConfig {
     fn default() -> Self {
-        Self { scenes: 160, trials: 48, guided: 0.6, randomise: false }
+        Self { looks: 0, scenes: 160, trials: 48, guided: 0.6, randomise: false }
     }
 }
 
@@ -404,7 +410,9 @@ impl TrainConfig {
         match schedule.decay {
             Decay::Step { steps, factor } => schedule.rate * factor.powi((step / steps.max(1)) as i32),
             Decay::Cosine => {
-                let done = step as f64 / self.steps().max(1) as f64;
+                let looks = schedule.look_steps;
+                let (first, end) = if step < looks { (0, looks) } else { (looks, self.steps()) };
+                let done = (step - first) as f64 / (end - first).max(1) as f64;
                 let share = 0.5 * (1.0 + (std::f64::consts::PI * done).cos());
                 schedule.rate * (0.01 + 0.99 * share)
             }
@@ -509,7 +517,7 @@ mod tests {
             names.push(TrainConfig::load(&entry.unwrap().path()).unwrap().name);
         }
         names.sort();
-        assert_eq!(names, ["looks", "paper-pushing", "quick-cloud", "where2act-cloud", "where2act-rgb"]);
+        assert_eq!(names, ["paper-pushing", "quick-cloud", "where2act-cloud", "where2act-rgb"]);
     }
 
     #[test]

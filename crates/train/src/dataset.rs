@@ -18,20 +18,22 @@ pub enum DataError {
     #[error("{}: no shards, expected shard-00000.safetensors and so on (make them with `collect`)", .0.display())]
     Empty(PathBuf),
     /// No scene belongs to a part that is needed.
-    #[error("{}: none of the {scenes} scenes belongs to {part:?}; collect more objects", path.display())]
+    #[error("{folders}: none of the {scenes} scenes belongs to {part:?}; collect more objects")]
     EmptyPart {
-        /// The folder.
-        path: PathBuf,
+        /// The folders.
+        folders: String,
         /// Which part.
         part: Part,
         /// Scenes there are.
         scenes: usize,
     },
     /// A primitive never succeeds, so nothing can be learnt about it.
-    #[error("{}: no successful trial of {primitive} among {trials}; collect more trials or leave it out", path.display())]
+    #[error(
+        "{folders}: no successful trial of {primitive} among {trials}; collect more trials or leave it out"
+    )]
     NoSuccess {
-        /// The folder.
-        path: PathBuf,
+        /// The folders.
+        folders: String,
         /// Which primitive.
         primitive: Primitive,
         /// Trials of it.
@@ -52,7 +54,7 @@ pub enum DataError {
 /// A scene of a data set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SceneId {
-    /// Index of the shard.
+    /// Index of the shard, through all folders.
     pub shard: usize,
     /// Index of the scene in it.
     pub scene: usize,
@@ -61,7 +63,8 @@ pub struct SceneId {
 /// Memory-mapped shards. What is held in memory is the scenes' names and the counts below, not the data.
 #[derive(Debug)]
 pub struct Dataset {
-    folder: PathBuf,
+    /// The folders, and how many shards come before and with each.
+    folders: Vec<(PathBuf, usize)>,
     shards: Vec<Shard>,
     /// Damaged shards that were skipped because the caller asked for it.
     pub skipped: Vec<ShardError>,
@@ -82,26 +85,64 @@ impl Dataset {
     /// # Errors
     /// A damaged shard, unless `skip_damaged`; shards of another format version always.
     pub fn open(folder: &Path, skip_damaged: bool) -> Result<Self, DataError> {
-        Manifest::load(folder)?;
-        let mut shards = Vec::new();
-        let mut skipped = Vec::new();
-        for path in list_shards(folder)? {
-            match Shard::open(&path) {
-                Ok(shard) => shards.push(shard),
-                Err(damage @ ShardError::Damaged { .. }) if skip_damaged => skipped.push(damage),
-                Err(error) => return Err(error.into()),
-            }
-        }
-        if shards.is_empty() {
-            return Err(DataError::Empty(folder.to_owned()));
-        }
-        Ok(Self { folder: folder.to_owned(), shards, skipped })
+        Self::open_all(&[folder], skip_damaged)
     }
 
-    /// The folder.
+    /// Opens all shards of several folders, which become one data set: scenes with and without trials, generated objects
+    /// and others.
+    ///
+    /// # Errors
+    /// Those of [`Self::open`].
+    pub fn open_all(folders: &[impl AsRef<Path>], skip_damaged: bool) -> Result<Self, DataError> {
+        let mut dataset = Self { folders: Vec::new(), shards: Vec::new(), skipped: Vec::new() };
+        for folder in folders {
+            let folder = folder.as_ref();
+            let before = dataset.shards.len();
+            Manifest::load(folder)?;
+            for path in list_shards(folder)? {
+                match Shard::open(&path) {
+                    Ok(shard) => dataset.shards.push(shard),
+                    Err(damage @ ShardError::Damaged { .. }) if skip_damaged => dataset.skipped.push(damage),
+                    Err(error) => return Err(error.into()),
+                }
+            }
+            if dataset.shards.len() == before {
+                return Err(DataError::Empty(folder.to_owned()));
+            }
+            dataset.folders.push((folder.to_owned(), dataset.shards.len()));
+        }
+        Ok(dataset)
+    }
+
+    /// The folders' manifests.
+    ///
+    /// # Errors
+    /// Those of [`Manifest::load`].
+    pub fn manifests(&self) -> Result<Vec<Manifest>, DataError> {
+        self.folders.iter().map(|(folder, _)| Ok(Manifest::load(folder)?)).collect()
+    }
+
+    /// Index of the folder that a shard is in.
     #[must_use]
-    pub fn folder(&self) -> &Path {
-        &self.folder
+    pub fn folder_of(&self, shard: usize) -> usize {
+        self.folders.partition_point(|(_, end)| *end <= shard)
+    }
+
+    /// What tells this data from other data: one text for every folder.
+    ///
+    /// # Errors
+    /// Those of [`Manifest::load`].
+    pub(crate) fn names(&self) -> Result<Vec<String>, DataError> {
+        let starts = std::iter::once(0).chain(self.folders.iter().map(|(_, end)| *end));
+        let counts = starts.zip(&self.folders).map(|(start, (_, end))| end - start);
+        // Names, numbers and maps with string keys: nothing that JSON could not say.
+        let name = |(manifest, count)| serde_json::to_string(&(manifest, count)).unwrap_or_default();
+        Ok(self.manifests()?.into_iter().zip(counts).map(name).collect())
+    }
+
+    fn show_folders(&self) -> String {
+        let names: Vec<_> = self.folders.iter().map(|(folder, _)| folder.display().to_string()).collect();
+        names.join(", ")
     }
 
     /// The shards.
@@ -115,16 +156,36 @@ impl Dataset {
     /// # Errors
     /// [`DataError::EmptyPart`].
     pub fn scenes(&self, part: Part) -> Result<Vec<SceneId>, DataError> {
+        self.scenes_where(part, |_| true)
+    }
+
+    /// Those of [`Self::scenes`] that have trials.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyPart`].
+    pub fn tried_scenes(&self, part: Part) -> Result<Vec<SceneId>, DataError> {
+        self.scenes_where(part, |id| self.is_tried(id))
+    }
+
+    fn scenes_where(&self, part: Part, keep: impl Fn(SceneId) -> bool) -> Result<Vec<SceneId>, DataError> {
         let all = self.shards.iter().enumerate().flat_map(|(shard, s)| {
             s.scenes().iter().enumerate().map(move |(scene, info)| (SceneId { shard, scene }, info))
         });
-        let mine: Vec<SceneId> =
-            all.filter(|(_, info)| Part::of(&info.object, info.category) == part).map(|(id, _)| id).collect();
+        let mine: Vec<SceneId> = all
+            .filter(|(id, info)| keep(*id) && Part::of(&info.object, info.category) == part)
+            .map(|(id, _)| id)
+            .collect();
         if mine.is_empty() {
             let scenes = self.shards.iter().map(|s| s.scenes().len()).sum();
-            return Err(DataError::EmptyPart { path: self.folder.clone(), part, scenes });
+            return Err(DataError::EmptyPart { folders: self.show_folders(), part, scenes });
         }
         Ok(mine)
+    }
+
+    /// Whether a scene has trials.
+    #[must_use]
+    pub fn is_tried(&self, id: SceneId) -> bool {
+        self.shards[id.shard].trial_count(id.scene) > 0
     }
 
     /// Counts trials of some scenes.
@@ -155,7 +216,7 @@ impl Dataset {
         for &primitive in primitives {
             if counts.successes[primitive as usize] == 0 {
                 let trials = counts.trials[primitive as usize];
-                return Err(DataError::NoSuccess { path: self.folder.clone(), primitive, trials });
+                return Err(DataError::NoSuccess { folders: self.show_folders(), primitive, trials });
             }
         }
         Ok(counts)

@@ -1,6 +1,6 @@
 //! Newer trials on train scenes, up to a number; older ones are forgotten first.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 
 use serde::{Deserialize, Serialize};
 use where2act_core::Trial;
@@ -41,6 +41,12 @@ impl Replay {
     /// Trials held for a scene.
     pub fn trials(&self, scene: SceneId) -> impl Iterator<Item = Trial> + '_ {
         self.held.iter().filter(move |(id, _)| *id == scene).flat_map(|(_, trials)| trials.iter().copied())
+    }
+
+    /// Scenes with trials.
+    #[must_use]
+    pub fn scenes(&self) -> HashSet<SceneId> {
+        self.held.iter().map(|(id, _)| *id).collect()
     }
 
     /// Trials held in all.

@@ -23,7 +23,7 @@ use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
 use crate::replay::Replay;
 use crate::split::Part;
-use crate::start::{first_trials, first_weights, manifest, optimiser, with_scan_radius};
+use crate::start::{first_trials, first_weights, optimiser, with_scan_radius};
 use crate::step::{Losses, Phase, forward};
 use crate::validate::{Validation, validate};
 
@@ -68,7 +68,10 @@ pub enum TrainError {
         path: PathBuf,
     },
     /// The run whose trials are wanted had other data.
-    #[error("{}: expected a run on the same data with its config.toml as it was, found another", path.display())]
+    #[error(
+        "{}: expected a run on the same data, or its first folders, with its config.toml as it was, found another",
+        path.display()
+    )]
     OtherData {
         /// The run's folder.
         path: PathBuf,
@@ -219,10 +222,12 @@ pub fn train<'a>(
 ) -> Result<Outcome, TrainError> {
     config.validate()?;
     let train_scenes: Arc<[SceneId]> = dataset.scenes(Part::Train)?.into();
-    if config.phase(config.steps() - 1) != Phase::Look {
+    let mut validation_scenes = if config.phase(config.steps() - 1) == Phase::Look {
+        dataset.scenes(Part::Validation)?
+    } else {
         dataset.require_successes(&train_scenes, &config.network.primitives)?;
-    }
-    let mut validation_scenes = dataset.scenes(Part::Validation)?;
+        dataset.tried_scenes(Part::Validation)?
+    };
     validation_scenes.truncate(VALIDATION_SCENES);
 
     // Held until the run ends, however it ends.
@@ -302,10 +307,18 @@ impl Run<'_> {
         }
     }
 
-    /// Runs steps up to `end` or until told to stop. Batches are prepared on another thread, in order.
+    /// Runs steps up to `end` or until told to stop.
     fn steps_until(&mut self, end: usize) -> Result<(), TrainError> {
+        let looks = self.config.schedule.look_steps;
+        self.steps_of_a_phase(end.min(looks))?;
+        if self.state.progress.step >= looks { self.steps_of_a_phase(end) } else { Ok(()) }
+    }
+
+    /// Runs steps up to `end` or until told to stop. Batches are prepared on another thread, in order.
+    fn steps_of_a_phase(&mut self, end: usize) -> Result<(), TrainError> {
         let replay = Arc::new(self.state.replay.clone());
-        let source = Source::new(self.dataset.clone(), self.train_scenes.clone(), replay, self.config);
+        let phase = self.config.phase(self.state.progress.step);
+        let source = Source::new(self.dataset.clone(), &self.train_scenes, replay, self.config, phase);
         let first = self.state.progress.step;
         std::thread::scope(|scope| {
             let (send, receive) = sync_channel(AHEAD);
@@ -412,9 +425,10 @@ impl Run<'_> {
         }
         let mut source = Source::new(
             self.dataset.clone(),
-            self.validation_scenes.clone().into(),
+            &self.validation_scenes,
             Arc::default(),
             self.config,
+            Phase::Look,
         );
         source.config = BatchConfig { mirrored: 0.0, measured: 0.0, places_per_view: 64, ..source.config };
         let batches = self.validation_scenes.len().div_ceil(source.config.views);
@@ -516,7 +530,7 @@ fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result
         Ok(_) => return Err(TrainError::OtherRun { path: out.to_owned(), what: "another configuration" }),
         Err(_) => write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?,
     }
-    Ok(checkpoint::fingerprint(&text, &manifest(dataset)?))
+    Ok(checkpoint::fingerprint(&text, &dataset.names()?.concat()))
 }
 
 /// Drops lines of steps that will be done again.

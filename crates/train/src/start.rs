@@ -6,7 +6,6 @@ use burn::module::ParamGroup;
 use burn::optim::decay::WeightDecayConfig;
 use burn::optim::{AdamConfig, AdjustLrFn, ModuleOptimizer, MuonConfig};
 use burn::tensor::Device;
-use where2act_core::shard::Manifest;
 use where2act_model::preprocess::{CloudInput, CloudScale};
 use where2act_model::{Modality, ModelConfig, Network, Weights};
 
@@ -80,7 +79,10 @@ pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Re
         let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
         let newest = newest.ok_or_else(|| io(&checkpoints, std::io::ErrorKind::NotFound.into()))?;
         let (theirs, progress) = checkpoint::without_weights(&newest)?;
-        if progress.fingerprint != checkpoint::fingerprint(&text, &manifest(dataset)?) {
+        // Scenes keep their numbers when folders come after theirs.
+        let names = dataset.names()?;
+        let mut begins = (1..=names.len()).map(|n| names[..n].concat());
+        if !begins.any(|data| progress.fingerprint == checkpoint::fingerprint(&text, &data)) {
             return Err(TrainError::OtherData { path: run.clone() });
         }
         let (before, held) = (trials.len(), theirs.len());
@@ -92,12 +94,6 @@ pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Re
         );
     }
     Ok(trials)
-}
-
-/// What tells one data set from another.
-pub(crate) fn manifest(dataset: &Dataset) -> Result<String, TrainError> {
-    let manifest = Manifest::load(dataset.folder()).map_err(DataError::from)?;
-    serde_json::to_string(&(manifest, dataset.shards().len())).map_err(|e| io(dataset.folder(), e.into()))
 }
 
 /// The network's description with the sizes of clouds that training will see.

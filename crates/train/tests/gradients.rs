@@ -12,9 +12,7 @@ use where2act_model::{Backbone, Modality, Network};
 use where2act_train::batch::{Batch, Source};
 use where2act_train::probes::Learner;
 use where2act_train::step::{Phase, forward};
-use where2act_train::{
-    BatchConfig, Dataset, LossConfig, NetworkConfig, Part, Replay, ScheduleConfig, TrainConfig,
-};
+use where2act_train::{BatchConfig, Dataset, LossConfig, NetworkConfig, Part, ScheduleConfig, TrainConfig};
 
 fn config(modality: Modality) -> TrainConfig {
     TrainConfig {
@@ -43,6 +41,7 @@ fn config(modality: Modality) -> TrainConfig {
             flipped: 0.2,
             fixed: 0.2,
             places_per_view: 12,
+            looks_per_view: 12,
             ..BatchConfig::default()
         },
         schedule: ScheduleConfig {
@@ -111,8 +110,7 @@ fn the_gradient_of_a_step_is_how_its_loss_changes() {
     let scenes = dataset.scenes(Part::Train).unwrap();
     for modality in [Modality::Cloud, Modality::Rgb] {
         let config = config(modality);
-        let source =
-            Source::new(dataset.clone(), scenes.clone().into(), Arc::new(Replay::default()), &config);
+        let source = Source::new(dataset.clone(), &scenes, Arc::default(), &config, Phase::Joint);
         let batch = source.batch(0).unwrap();
         let network = Network::new(&config.model(), Seed(4), &Device::flex().autodiff());
         let learner = Learner::new(network, &config.loss, Seed(4));

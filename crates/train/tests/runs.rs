@@ -10,12 +10,14 @@ use burn::tensor::Device;
 use where2act_core::shard::Manifest;
 use where2act_core::{Primitive, Seed};
 use where2act_model::{Modality, Network, Precision, Tensors, Weights};
+use where2act_train::batch::Source;
 use where2act_train::checkpoint;
 use where2act_train::probes::Learner;
 use where2act_train::run::{Control, Outcome, TrainError, files, train};
+use where2act_train::step::Phase;
 use where2act_train::{
     BatchConfig, CollectConfig, DataError, Dataset, Decay, LossConfig, NetworkConfig, Optimiser, Part,
-    ScheduleConfig, TrainConfig,
+    Replay, ScheduleConfig, TrainConfig,
 };
 
 fn data(folder: &Path, scenes: u64) -> Arc<Dataset> {
@@ -49,6 +51,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             trials_per_view: 32,
             flipped: 0.2,
             places_per_view: 4,
+            looks_per_view: 16,
             measured: 0.5,
             ..BatchConfig::default()
         },
@@ -245,7 +248,7 @@ fn a_backbone_may_look_before_there_are_any_trials() {
     let data = Arc::new(Dataset::open(&path, false).unwrap());
     let mut looks = config(0, 0);
     looks.schedule.look_steps = 30;
-    looks.batch.places_per_view = 32;
+    looks.batch.looks_per_view = 32;
     let (outcome, losses) = train_for(&looks, &data, &folder.path().join("looks"), usize::MAX).unwrap();
     assert!(losses[29] < 0.5 * losses[0], "{losses:?}");
     let metrics = std::fs::read_to_string(folder.path().join("looks").join(files::METRICS)).unwrap();
@@ -258,6 +261,51 @@ fn a_backbone_may_look_before_there_are_any_trials() {
     assert!(matches!(error, TrainError::Data(DataError::NoSuccess { .. })), "{error}");
     let trials = self::data(&folder.path().join("trials"), 32);
     assert!(train_for(&further, &trials, &folder.path().join("further"), usize::MAX).unwrap().0.finished);
+}
+
+#[test]
+fn one_run_looks_at_all_scenes_and_then_learns_from_those_with_trials() {
+    let folder = tempfile::tempdir().unwrap();
+    let [with, without] = ["with", "without"].map(|name| folder.path().join(name));
+    boards::write(&with, 0..32);
+    boards::write_without_trials(&without, 0..40);
+    let data = Arc::new(Dataset::open_all(&[&with, &without], false).unwrap());
+    let all = data.scenes(Part::Train).unwrap();
+    let tried = data.tried_scenes(Part::Train).unwrap();
+    assert!(tried.iter().all(|id| data.folder_of(id.shard) == 0));
+    let untried = *all.iter().find(|id| data.folder_of(id.shard) == 1).unwrap();
+    assert_eq!(tried, Dataset::open(&with, false).unwrap().scenes(Part::Train).unwrap());
+
+    let mut config = config(2, 8);
+    config.schedule = ScheduleConfig { look_steps: 8, decay: Decay::Cosine, ..config.schedule };
+    let scenes_of = |phase, replay: &Replay| {
+        Source::new(data.clone(), &all, Arc::new(replay.clone()), &config, phase).scenes.to_vec()
+    };
+    let mut replay = Replay::new(100);
+    assert_eq!(scenes_of(Phase::Look, &replay), all);
+    assert_eq!(scenes_of(Phase::Score, &replay), tried);
+    replay.add(untried, data.shards()[0].trials(0).unwrap());
+    let newly: Vec<_> = tried.iter().chain([&untried]).copied().collect();
+    assert_eq!(scenes_of(Phase::Joint, &replay), newly);
+
+    // The rate falls twice, and looking ends inside an epoch.
+    let full = config.schedule.rate;
+    assert!(
+        config.rate(7) < 0.1 * full && (config.rate(8) - full).abs() < 1e-9 && config.rate(17) < 0.1 * full
+    );
+    let (outcome, losses) = train_for(&config, &data, &folder.path().join("run"), usize::MAX).unwrap();
+    assert!(outcome.finished && losses.len() == 18);
+    let metrics = std::fs::read_to_string(folder.path().join("run").join(files::METRICS)).unwrap();
+    let lines = metrics.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let scores: Vec<bool> =
+        lines.filter(|line| line.get("loss").is_some()).map(|line| !line["score"].is_null()).collect();
+    assert_eq!(scores, (0..18).map(|step| step >= 8).collect::<Vec<_>>());
+    // In pieces it ends the same.
+    let pieces: Vec<f32> = [5, 3, 2, usize::MAX]
+        .iter()
+        .flat_map(|&steps| train_for(&config, &data, &folder.path().join("pieces"), steps).unwrap().1)
+        .collect();
+    assert_eq!(losses, pieces);
 }
 
 #[test]
@@ -355,7 +403,15 @@ fn a_run_may_begin_with_the_trials_of_others() {
     let third = folder.path().join("after pictures");
     train_for(&after(&[&pictures]), &data, &third, usize::MAX).unwrap();
     assert_eq!(held(&third), trials[..5]);
-    let other = self::data(&folder.path().join("other"), 16);
-    let error = train_for(&after(&[&first]), &other, &folder.path().join("fourth"), 1).unwrap_err();
-    assert!(matches!(&error, TrainError::OtherData { path } if *path == first), "{error}");
+    // Folders may come after those of the first run, but not before.
+    let [old, new] = ["data", "other"].map(|name| folder.path().join(name));
+    let other = self::data(&new, 16);
+    let more = Arc::new(Dataset::open_all(&[&old, &new], false).unwrap());
+    let fourth = folder.path().join("fourth");
+    train_for(&after(&[&first]), &more, &fourth, usize::MAX).unwrap();
+    assert_eq!(held(&fourth), trials[..5]);
+    for wrong in [other, Arc::new(Dataset::open_all(&[&new, &old], false).unwrap())] {
+        let error = train_for(&after(&[&first]), &wrong, &folder.path().join("fifth"), 1).unwrap_err();
+        assert!(matches!(&error, TrainError::OtherData { path } if *path == first), "{error}");
+    }
 }

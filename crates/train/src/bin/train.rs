@@ -13,13 +13,12 @@ use burn::tensor::Device;
 use clap::Parser;
 use clap::builder::PossibleValuesParser;
 use indicatif::{HumanDuration, ProgressBar};
-use where2act_core::shard::Manifest;
 use where2act_core::{Policy, Primitive, Seed, program};
 use where2act_model::{Modality, Summary, Tensors, Weights};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::evaluate::EvaluateConfig;
 use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
-use where2act_train::{Dataset, TrainConfig, adaptive, checkpoint};
+use where2act_train::{CollectConfig, Dataset, TrainConfig, adaptive, checkpoint};
 
 use shared::Work;
 
@@ -39,7 +38,7 @@ static ALLOCATOR: where2act_kernels::KeepLarge = where2act_kernels::KeepLarge::n
   train --config configs/standard.toml --data data/cloud --out runs/cloud
   train --config configs/standard.toml --data data/cloud --out runs/cloud --resume
   train --data data/cloud --modality rgb --steps 2000
-  train --config configs/standard.toml --from weights/cloud --data data/mine --out runs/mine
+  train --config configs/standard.toml --from weights/cloud --looks 0 --data data/mine --out runs/mine
   RUST_LOG=info train 2> train.log                  without a terminal: a line a minute
   train --modality rgb --encoder resnet18.pth --data data/rgb --out runs/rgb"
 )]
@@ -47,9 +46,10 @@ struct Args {
     /// TOML file that describes the run.
     #[arg(long, default_value = "configs/quick.toml")]
     config: PathBuf,
-    /// Folder of shards, as `collect` writes it. Default: data/NAME, collected first if it is not there.
+    /// Folder of shards, as `collect` writes it; may be given several times, and then all are one data set. Default:
+    /// data/NAME, and data/NAME-looks where the configuration wants scenes without trials, collected first if not there.
     #[arg(long)]
-    data: Option<PathBuf>,
+    data: Vec<PathBuf>,
     /// Folder of the run: checkpoints, metrics, curves, weights. Default: runs/NAME.
     #[arg(long)]
     out: Option<PathBuf>,
@@ -65,7 +65,7 @@ struct Args {
     /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own.
     #[arg(long)]
     from: Option<PathBuf>,
-    /// Folder of an earlier run on the same data, of either modality, to begin with the trials that it made between epochs;
+    /// Folder of an earlier run on the same data, or its first folders, of either modality, to begin with the trials that it made between epochs;
     /// may be given several times, the newest trials last. Give this run another seed: with one of theirs it repeats
     /// random trials.
     #[arg(long, value_name = "RUN")]
@@ -73,9 +73,12 @@ struct Args {
     /// ResNet-18 under torchvision's names (.pth or .safetensors) to start the encoder from: pictures, width 1.
     #[arg(long, value_name = "FILE", conflicts_with = "from")]
     encoder: Option<PathBuf>,
-    /// Other numbers of steps than the configuration's: all of them, a quarter for the score alone.
+    /// Other numbers of steps with trials than the configuration's: all of them, a quarter for the score alone.
     #[arg(long)]
     steps: Option<usize>,
+    /// Another number of steps that only look at scenes, before those with trials. 0 where --from has looked already.
+    #[arg(long)]
+    looks: Option<usize>,
     /// Pictures or scans, instead of what the configuration says.
     #[arg(long, value_parser = ["rgb", "cloud"])]
     modality: Option<String>,
@@ -115,18 +118,18 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> anyhow::Result<()> {
     let stop = args.work.begin()?;
     let config = configure(args)?;
-    let data = args.data.clone().unwrap_or_else(|| Path::new("data").join(&config.name));
     let out = args.out.clone().unwrap_or_else(|| Path::new("runs").join(&config.name));
     if !args.resume && out.join(files::CHECKPOINTS).exists() {
         bail!("{}: holds a run already, expected an empty folder (or --resume to go on)", out.display());
     }
     // Collecting takes minutes: what cannot be made or read is found out first.
     std::fs::create_dir_all(&out).with_context(|| format!("--out {}", out.display()))?;
-    if args.data.is_none() {
+    let mut data = args.data.clone();
+    if data.is_empty() {
         check_start(&config)?;
-        collect(&config, &data, &args.work, &stop)?;
+        data = collect(&config, &args.work, &stop)?;
     }
-    let dataset = Arc::new(Dataset::open(&data, args.skip_damaged)?);
+    let dataset = Arc::new(Dataset::open_all(&data, args.skip_damaged)?);
     for damage in &dataset.skipped {
         eprintln!("skipped: {damage}");
     }
@@ -135,8 +138,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     let device = device(&args.device);
     let bar = args.work.bar(config.steps() as u64, "training");
-    let recipe = Manifest::load(dataset.folder())?.recipe;
-    let preparer = serde_json::from_value::<Recipe>(recipe).ok().map(Preparer::new);
+    let recipes = dataset.manifests()?.into_iter().map(|manifest| serde_json::from_value(manifest.recipe));
+    let preparers: Option<Vec<_>> = recipes.map(|recipe| recipe.ok().map(Preparer::new)).collect();
     let mut share = Stages::default();
     let mut told = Instant::now();
     let mut on_step = |report: &StepReport| {
@@ -155,7 +158,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         let figure = report.validation.figure;
         let step = report.step;
         say(&bar, &format!("step {step}: validation mean average precision {figure:.3}{best}"));
-        explore(&config, report, preparer.as_ref(), &dataset, &bar)
+        explore(&config, report, preparers.as_deref(), &dataset, &bar)
     };
     let control = Control { stop: &stop, on_step: &mut on_step, on_epoch: &mut on_epoch };
     let outcome = train(&config, Arc::clone(&dataset), &out, &device, control)?;
@@ -211,6 +214,9 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
         config.schedule.score_steps = steps / 4;
         config.schedule.joint_steps = steps - steps / 4;
     }
+    if let Some(looks) = args.looks {
+        config.schedule.look_steps = looks;
+    }
     match args.modality.as_deref() {
         Some("rgb") => config.network.modality = Modality::Rgb,
         Some(_) => config.network.modality = Modality::Cloud,
@@ -242,36 +248,49 @@ fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Collects what the configuration asks for, or the rest of it.
-fn collect(config: &TrainConfig, data: &Path, work: &Work, stop: &AtomicBool) -> anyhow::Result<()> {
-    let recipe = Recipe {
-        seed: Seed(config.seed).child("collect", 0),
-        trials: config.collect.trials,
-        guided: f64::from(config.collect.guided),
-        randomise: config.collect.randomise,
-        wide: config.collect.randomise,
-        ..Recipe::default()
-    };
-    let plan = Plan { resume: true, ..Plan::new(config.collect.scenes) };
-    let collector = Collector::new(data, recipe, plan)?;
-    let bar = work.bar(collector.scenes(), "collecting");
-    collector.run(stop, &|_, collected| {
-        bar.set_position(collected.scenes);
-        bar.set_message(format!("successes: {}", collected.tally.successes()));
-    })?;
-    bar.finish_and_clear();
-    Ok(())
+/// Collects what the configuration asks for, or the rest of it: the folders.
+fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Result<Vec<PathBuf>> {
+    let CollectConfig { looks, scenes, trials, guided, randomise } = config.collect;
+    let looks = if config.schedule.look_steps > 0 { looks } else { 0 };
+    let mut folders = Vec::new();
+    for (number, (suffix, scenes, trials)) in
+        [("", scenes, trials), ("-looks", looks, 0)].into_iter().enumerate()
+    {
+        if scenes == 0 {
+            continue;
+        }
+        let seed = config.root_seed().child("collect", number as u64);
+        let recipe = Recipe {
+            seed,
+            trials,
+            guided: f64::from(guided),
+            randomise,
+            wide: randomise,
+            ..Recipe::default()
+        };
+        let plan = Plan { resume: true, ..Plan::new(scenes) };
+        let folder = Path::new("data").join(format!("{}{suffix}", config.name));
+        let collector = Collector::new(&folder, recipe, plan)?;
+        let bar = work.bar(collector.scenes(), "collecting");
+        collector.run(stop, &|_, collected| {
+            bar.set_position(collected.scenes);
+            bar.set_message(format!("successes: {}", collected.tally.successes()));
+        })?;
+        bar.finish_and_clear();
+        folders.push(folder);
+    }
+    Ok(folders)
 }
 
 /// New trials between epochs of the joint phase.
 fn explore(
     config: &TrainConfig,
     report: &EpochReport<'_>,
-    preparer: Option<&Preparer>,
+    preparers: Option<&[Preparer]>,
     dataset: &Dataset,
     bar: &ProgressBar,
 ) -> NewTrials {
-    let (Some(preparer), true, true) = (preparer, config.adaptive.enabled, report.joint) else {
+    let (Some(preparers), true, true) = (preparers, config.adaptive.enabled, report.joint) else {
         return Vec::new();
     };
     let Ok(scenes) = dataset.scenes(where2act_train::Part::Train) else { return Vec::new() };
@@ -280,7 +299,7 @@ fn explore(
     let count = config.adaptive.scenes.min(scenes.len());
     let progress =
         || bar.set_message(format!("exploring scene {}/{count}", 1 + done.fetch_add(1, Ordering::Relaxed)));
-    match adaptive::explore(report.network, preparer, dataset, &scenes, &config.adaptive, seed, &progress) {
+    match adaptive::explore(report.network, preparers, dataset, &scenes, &config.adaptive, seed, &progress) {
         Ok(trials) => {
             let show = |policy| {
                 let (trials, successes) = adaptive::count(&trials, policy);
