@@ -65,9 +65,9 @@ struct Args {
     /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own.
     #[arg(long)]
     from: Option<PathBuf>,
-    /// Folder of an earlier run on the same data, or its first folders, of either modality, to begin with the trials that it made between epochs;
-    /// may be given several times, the newest trials last. Give this run another seed: with one of theirs it repeats
-    /// random trials.
+    /// Folder of an earlier run on the same data, or its first folders, of either modality, to begin with the trials that it
+    /// made between epochs; may be given several times, the newest trials last. Give this run another seed: with one of
+    /// theirs it repeats random trials.
     #[arg(long, value_name = "RUN")]
     replay: Vec<PathBuf>,
     /// ResNet-18 under torchvision's names (.pth or .safetensors) to start the encoder from: pictures, width 1.
