@@ -42,26 +42,6 @@ impl Network {
         self.assign(&tensors, |_| false)
     }
 
-    /// This network with the mean of its own parameters and those of `others`. Networks that grew from the same weights can
-    /// often be averaged: the mean keeps what each learnt, and forgets less of what they had in common than either does
-    /// (Wortsman et al., "Model soups", 2022).
-    ///
-    /// # Errors
-    /// As [`Self::with_tensors`], if one of them is of another shape.
-    pub fn averaged(self, others: &[Self]) -> Result<Self, WeightsError> {
-        let mut mean = self.tensors();
-        let share = 1.0 / (others.len() + 1) as f32;
-        mean.by_name.values_mut().flat_map(|tensor| &mut tensor.values).for_each(|x| *x *= share);
-        for other in others {
-            let theirs = other.tensors();
-            self.clone().with_tensors(&theirs)?;
-            for (sum, theirs) in mean.by_name.values_mut().zip(theirs.by_name.values()) {
-                sum.values.iter_mut().zip(&theirs.values).for_each(|(x, y)| *x += share * y);
-            }
-        }
-        self.with_tensors(&mean)
-    }
-
     /// This network with the parameters of `tensors`; those that are not `needed` may be missing and stay.
     pub(crate) fn assign(
         self,

@@ -44,22 +44,6 @@ fn a_folder_survives_the_disk_in_both_precisions() {
 }
 
 #[test]
-fn networks_of_one_shape_can_be_averaged() {
-    let [a, b, c] = [1, 2, 3].map(network);
-    let all = [&a, &b, &c].map(Network::tensors);
-    let mean = a.clone().averaged(&[b.clone(), c]).unwrap().tensors();
-    for (name, mean) in &mean.by_name {
-        for (i, mean) in mean.values.iter().enumerate() {
-            let sum: f32 = all.iter().map(|tensors| tensors.by_name[name].values[i]).sum();
-            assert!((3.0 * mean - sum).abs() < 1e-5, "{name}: {mean}, {sum}");
-        }
-    }
-    assert_eq!(a.clone().averaged(&[]).unwrap().tensors(), a.tensors());
-    let wider = Network::new(&small().with_width(0.125), Seed(1), &Device::flex());
-    assert!(matches!(a.averaged(&[b, wider]), Err(WeightsError::Shape { .. })));
-}
-
-#[test]
 fn names_are_plain_and_weights_depend_on_the_seed_alone() {
     let tensors = network(1).tensors();
     for (name, shape) in [
