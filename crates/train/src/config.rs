@@ -22,7 +22,7 @@ pub struct TrainConfig {
     /// It may lack a second look and the head for ways, and its actionability may be of another size; these start at random.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<PathBuf>,
-    /// Folders of earlier runs on the same data, of either modality, whose newest online trials, as many as `adaptive.buffer`
+    /// Folders of earlier runs on the same data or the first folders of it, of either modality, whose newest online trials, as many as `adaptive.buffer`
     /// holds, this run begins with; those of the last one are the newest. Give it a seed that none of them had: with the
     /// same one it repeats that run's random trials.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -1,5 +1,6 @@
 //! Shards opened for training: which scenes there are, and how often each primitive succeeds in them.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -63,11 +64,21 @@ pub struct SceneId {
 /// Memory-mapped shards. What is held in memory is the scenes' names and the counts below, not the data.
 #[derive(Debug)]
 pub struct Dataset {
-    /// The folders, and how many shards come before and with each.
-    folders: Vec<(PathBuf, usize)>,
+    folders: Vec<Folder>,
     shards: Vec<Shard>,
     /// Damaged shards that were skipped because the caller asked for it.
     pub skipped: Vec<ShardError>,
+}
+
+/// A folder of a data set.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    /// Where it is.
+    pub path: PathBuf,
+    /// What it says of itself.
+    pub manifest: Manifest,
+    /// Its shards among those of the data set.
+    pub shards: Range<usize>,
 }
 
 /// Trials and successes per primitive, in the order of [`Primitive::ALL`].
@@ -98,7 +109,7 @@ impl Dataset {
         for folder in folders {
             let folder = folder.as_ref();
             let before = dataset.shards.len();
-            Manifest::load(folder)?;
+            let manifest = Manifest::load(folder)?;
             for path in list_shards(folder)? {
                 match Shard::open(&path) {
                     Ok(shard) => dataset.shards.push(shard),
@@ -106,42 +117,29 @@ impl Dataset {
                     Err(error) => return Err(error.into()),
                 }
             }
-            if dataset.shards.len() == before {
+            let shards = before..dataset.shards.len();
+            if shards.is_empty() {
                 return Err(DataError::Empty(folder.to_owned()));
             }
-            dataset.folders.push((folder.to_owned(), dataset.shards.len()));
+            dataset.folders.push(Folder { path: folder.to_owned(), manifest, shards });
         }
         Ok(dataset)
     }
 
-    /// The folders' manifests.
-    ///
-    /// # Errors
-    /// Those of [`Manifest::load`].
-    pub fn manifests(&self) -> Result<Vec<Manifest>, DataError> {
-        self.folders.iter().map(|(folder, _)| Ok(Manifest::load(folder)?)).collect()
+    /// The folders.
+    #[must_use]
+    pub fn folders(&self) -> &[Folder] {
+        &self.folders
     }
 
     /// Index of the folder that a shard is in.
     #[must_use]
     pub fn folder_of(&self, shard: usize) -> usize {
-        self.folders.partition_point(|(_, end)| *end <= shard)
-    }
-
-    /// What tells this data from other data: one text for every folder.
-    ///
-    /// # Errors
-    /// Those of [`Manifest::load`].
-    pub(crate) fn names(&self) -> Result<Vec<String>, DataError> {
-        let starts = std::iter::once(0).chain(self.folders.iter().map(|(_, end)| *end));
-        let counts = starts.zip(&self.folders).map(|(start, (_, end))| end - start);
-        // Names, numbers and maps with string keys: nothing that JSON could not say.
-        let name = |(manifest, count)| serde_json::to_string(&(manifest, count)).unwrap_or_default();
-        Ok(self.manifests()?.into_iter().zip(counts).map(name).collect())
+        self.folders.partition_point(|folder| folder.shards.end <= shard)
     }
 
     fn show_folders(&self) -> String {
-        let names: Vec<_> = self.folders.iter().map(|(folder, _)| folder.display().to_string()).collect();
+        let names: Vec<_> = self.folders.iter().map(|folder| folder.path.display().to_string()).collect();
         names.join(", ")
     }
 

@@ -32,7 +32,7 @@ pub use config::{
     AdaptiveConfig, BatchConfig, CollectConfig, ConfigError, Decay, LossConfig, NetworkConfig, Optimiser,
     ScheduleConfig, TrainConfig,
 };
-pub use dataset::{Counts, DataError, Dataset, SceneId};
+pub use dataset::{Counts, DataError, Dataset, Folder, SceneId};
 pub use replay::Replay;
 pub use split::Part;
 pub use validate::{Validation, score_record, validate};

@@ -23,7 +23,7 @@ use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
 use crate::replay::Replay;
 use crate::split::Part;
-use crate::start::{first_trials, first_weights, optimiser, with_scan_radius};
+use crate::start::{first_trials, first_weights, manifests, optimiser, with_scan_radius};
 use crate::step::{Losses, Phase, forward};
 use crate::validate::{Validation, validate};
 
@@ -530,7 +530,7 @@ fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result
         Ok(_) => return Err(TrainError::OtherRun { path: out.to_owned(), what: "another configuration" }),
         Err(_) => write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?,
     }
-    Ok(checkpoint::fingerprint(&text, &dataset.names()?.concat()))
+    Ok(checkpoint::fingerprint(&text, &manifests(dataset)?.concat()))
 }
 
 /// Drops lines of steps that will be done again.

@@ -11,7 +11,7 @@ use where2act_model::{Modality, ModelConfig, Network, Weights};
 
 use crate::checkpoint;
 use crate::config::{Optimiser, TrainConfig};
-use crate::dataset::{DataError, Dataset, SceneId};
+use crate::dataset::{DataError, Dataset, Folder, SceneId};
 use crate::muon::KernelMuon;
 use crate::probes::Learner;
 use crate::replay::Replay;
@@ -80,7 +80,7 @@ pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Re
         let newest = newest.ok_or_else(|| io(&checkpoints, std::io::ErrorKind::NotFound.into()))?;
         let (theirs, progress) = checkpoint::without_weights(&newest)?;
         // Scenes keep their numbers when folders come after theirs.
-        let names = dataset.names()?;
+        let names = manifests(dataset)?;
         let mut begins = (1..=names.len()).map(|n| names[..n].concat());
         if !begins.any(|data| progress.fingerprint == checkpoint::fingerprint(&text, &data)) {
             return Err(TrainError::OtherData { path: run.clone() });
@@ -94,6 +94,14 @@ pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Re
         );
     }
     Ok(trials)
+}
+
+/// What tells one data set from another: a text for each of its folders.
+pub(crate) fn manifests(dataset: &Dataset) -> Result<Vec<String>, TrainError> {
+    let text = |Folder { path, manifest, shards }: &Folder| {
+        serde_json::to_string(&(manifest, shards.len())).map_err(|e| io(path, e.into()))
+    };
+    dataset.folders().iter().map(text).collect()
 }
 
 /// The network's description with the sizes of clouds that training will see.

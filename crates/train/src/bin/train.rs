@@ -138,7 +138,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     let device = device(&args.device);
     let bar = args.work.bar(config.steps() as u64, "training");
-    let recipes = dataset.manifests()?.into_iter().map(|manifest| serde_json::from_value(manifest.recipe));
+    let recipes =
+        dataset.folders().iter().map(|folder| serde_json::from_value(folder.manifest.recipe.clone()));
     let preparers: Option<Vec<_>> = recipes.map(|recipe| recipe.ok().map(Preparer::new)).collect();
     let mut share = Stages::default();
     let mut told = Instant::now();
