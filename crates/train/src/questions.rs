@@ -3,7 +3,7 @@
 use rand::RngExt;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand_chacha::ChaCha8Rng;
-use where2act_core::shard::DEPTH_SIDE;
+use where2act_core::shard::{DEPTH_SIDE, RGB_SIDE};
 use where2act_core::{Orientation6, Pixel, Policy, Primitive, Trial};
 use where2act_model::{Modality, ModelConfig};
 
@@ -47,34 +47,83 @@ impl Question {
     }
 }
 
+/// How far from an outline a pixel still lies beside it: as far as a gripper's finger is wide, in most views.
+const BESIDE: usize = 12;
+/// A pixel of the picture shows [`DEPTH_SIDE`] / [`RGB_SIDE`] pixels of the depth map a side, so that one this close to an
+/// outline may show what is on its other side.
+const BLURRED: usize = DEPTH_SIDE / RGB_SIDE;
+
 /// What pixels of the stored depth map show.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Ground {
     /// Parts that move.
     movable: Vec<u32>,
-    /// Where nothing moves: parts that do not, and for networks that see them, pixels beside the object.
-    still: [Vec<u32>; 2],
+    /// Where nothing moves.
+    still: [Still; 2],
+}
+
+/// Pixels of parts that do not move; or, for networks that see them, of what is around the object.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Still {
+    all: Vec<u32>,
+    /// Those right beside something else. Networks that are hardly ever asked there let what they think of a part spill
+    /// over its outline.
+    beside: Vec<u32>,
 }
 
 impl Ground {
     pub(crate) fn new(link: &[u8], modality: Modality) -> Self {
         let mut ground = Self::default();
-        for (i, link) in (0..).zip(link) {
-            match (link, modality) {
-                (0, Modality::Cloud) => {}
-                (0, Modality::Rgb) => ground.still[1].push(i),
-                (1, _) => ground.still[0].push(i),
-                _ => ground.movable.push(i),
+        let beside = beside_outlines(link);
+        for (i, (link, beside)) in (0..).zip(link.iter().zip(beside)) {
+            let still = match (link, modality) {
+                (0, Modality::Cloud) => continue,
+                (0, Modality::Rgb) => &mut ground.still[1],
+                (1, _) => &mut ground.still[0],
+                _ => {
+                    ground.movable.push(i);
+                    continue;
+                }
+            };
+            still.all.push(i);
+            if beside {
+                still.beside.push(i);
             }
         }
         ground
     }
 
-    /// A pixel where nothing moves; each kind as likely, however large it is.
+    /// A pixel where nothing moves; each kind as likely, however large it is, and half of them beside an outline.
     fn still(&self, rng: &mut ChaCha8Rng) -> Option<Pixel> {
         let first = usize::from(rng.random::<bool>());
-        any(&self.still[first], rng).or_else(|| any(&self.still[1 - first], rng))
+        let beside = rng.random::<bool>();
+        let of = |still: &Still, rng: &mut ChaCha8Rng| {
+            let near = if beside { any(&still.beside, rng) } else { None };
+            near.or_else(|| any(&still.all, rng))
+        };
+        of(&self.still[first], rng).or_else(|| of(&self.still[1 - first], rng))
     }
+}
+
+/// Which pixels of a depth map have something else of background, fixed parts and movable ones within [`BESIDE`] along
+/// their row or column, though not within [`BLURRED`].
+fn beside_outlines(link: &[u8]) -> Vec<bool> {
+    let kind = |pixel: usize| link[pixel].min(2);
+    let (mut near, mut blurred) = (vec![false; link.len()], vec![false; link.len()]);
+    let mut mark = |line: &[usize]| {
+        for i in (1..line.len()).filter(|i| kind(line[i - 1]) != kind(line[*i])) {
+            for (marks, reach) in [(&mut near, BESIDE), (&mut blurred, BLURRED)] {
+                let reached = &line[i.saturating_sub(reach)..(i + reach).min(line.len())];
+                reached.iter().for_each(|pixel| marks[*pixel] = true);
+            }
+        }
+    };
+    let pixels: Vec<usize> = (0..link.len()).collect();
+    pixels.chunks(DEPTH_SIDE).for_each(&mut mark);
+    for column in 0..DEPTH_SIDE {
+        mark(&pixels.iter().copied().skip(column).step_by(DEPTH_SIDE).collect::<Vec<_>>());
+    }
+    near.into_iter().zip(blurred).map(|(near, blurred)| near && !blurred).collect()
 }
 
 /// Successes and failures of each primitive, half and half as far as they last, and free negatives: the approach
@@ -175,6 +224,27 @@ mod tests {
             let side = mirror(trial.grasp_in_camera.left()).dot(&mirrored.left());
             assert!((side.abs() - 1.0).abs() < 1e-5, "{primitive}: {side}");
         }
+    }
+
+    #[test]
+    fn beside_an_outline_is_within_a_finger_but_not_under_it() {
+        // A movable square of 100 pixels in the middle of a fixed one of 200 on the background.
+        let square = |i: usize, half: usize| {
+            [i % DEPTH_SIDE, i / DEPTH_SIDE].iter().all(|x| (224 - half..224 + half).contains(x))
+        };
+        let link: Vec<u8> = (0..DEPTH_SIDE * DEPTH_SIDE)
+            .map(|i| u8::from(square(i, 100)) + 3 * u8::from(square(i, 50)))
+            .collect();
+        let ground = Ground::new(&link, Modality::Rgb);
+        let columns = |still: &Still| {
+            let row = (224 * DEPTH_SIDE as u32)..(225 * DEPTH_SIDE as u32);
+            still.beside.iter().filter(|i| row.contains(*i)).map(|i| i - row.start).collect::<Vec<_>>()
+        };
+        let [fixed, around] = &ground.still;
+        let ranges = |ranges: &[std::ops::Range<u32>]| ranges.iter().cloned().flatten().collect::<Vec<_>>();
+        assert_eq!(columns(fixed), ranges(&[126..136, 162..172, 276..286, 312..322]));
+        assert_eq!(columns(around), ranges(&[112..122, 326..336]));
+        assert!(fixed.all.len() == 200 * 200 - 100 * 100 && around.all.len() == link.len() - 200 * 200);
     }
 
     #[test]
