@@ -56,8 +56,8 @@ const BLURRED: usize = DEPTH_SIDE / RGB_SIDE;
 /// What pixels of the stored depth map show.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Ground {
-    /// Parts that move.
-    movable: Vec<u32>,
+    /// Parts that move, each with its pixels.
+    movable: Vec<Vec<u32>>,
     /// Where nothing moves.
     still: [Still; 2],
 }
@@ -74,14 +74,16 @@ struct Still {
 impl Ground {
     pub(crate) fn new(link: &[u8], modality: Modality) -> Self {
         let mut ground = Self::default();
+        let parts = usize::from(link.iter().copied().max().unwrap_or(0));
+        ground.movable.resize(parts.saturating_sub(1), Vec::new());
         let beside = beside_outlines(link);
         for (i, (link, beside)) in (0..).zip(link.iter().zip(beside)) {
             let still = match (link, modality) {
                 (0, Modality::Cloud) => continue,
                 (0, Modality::Rgb) => &mut ground.still[1],
                 (1, _) => &mut ground.still[0],
-                _ => {
-                    ground.movable.push(i);
+                (part, _) => {
+                    ground.movable[usize::from(*part) - 2].push(i);
                     continue;
                 }
             };
@@ -90,7 +92,16 @@ impl Ground {
                 still.beside.push(i);
             }
         }
+        ground.movable.retain(|part| !part.is_empty());
         ground
+    }
+
+    /// A pixel of a part that moves: half of them by pixel, half by part, so that knobs and buttons are not left out.
+    fn movable(&self, rng: &mut ChaCha8Rng) -> Option<Pixel> {
+        let by_part = rng.random::<bool>();
+        let part =
+            if by_part { self.movable.choose(rng) } else { self.movable.choose_weighted(rng, Vec::len).ok() };
+        any(part?, rng)
     }
 
     /// A pixel where nothing moves; each kind as likely, however large it is, and half of them beside an outline.
@@ -179,7 +190,7 @@ pub(crate) fn places(
     let mut places = Vec::new();
     for _ in 0..config.places_per_view {
         let nothing_moves = config.fixed > 0.0 && rng.random();
-        let pixel = if nothing_moves { ground.still(rng) } else { any(&ground.movable, rng) };
+        let pixel = if nothing_moves { ground.still(rng) } else { ground.movable(rng) };
         let output = rng.random_range(0..model.primitives.len());
         places.extend(pixel.map(|pixel| (pixel, output)));
     }
@@ -245,6 +256,19 @@ mod tests {
         assert_eq!(columns(fixed), ranges(&[126..136, 162..172, 276..286, 312..322]));
         assert_eq!(columns(around), ranges(&[112..122, 326..336]));
         assert!(fixed.all.len() == 200 * 200 - 100 * 100 && around.all.len() == link.len() - 200 * 200);
+    }
+
+    #[test]
+    fn small_parts_are_asked_about_too() {
+        // A part of 10,000 pixels and one of 10.
+        let link: Vec<u8> = (0..10_010).map(|i| if i < 10_000 { 2 } else { 4 }).collect();
+        let ground = Ground::new(&link, Modality::Cloud);
+        let mut rng = Seed(1).rng();
+        let small = (0..1000).filter(|_| {
+            let pixel = ground.movable(&mut rng).unwrap();
+            pixel.v as usize * DEPTH_SIDE + pixel.u as usize >= 10_000
+        });
+        assert!((200..300).contains(&small.count()));
     }
 
     #[test]
