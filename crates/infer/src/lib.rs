@@ -78,6 +78,7 @@
 #![cfg_attr(not(test), deny(clippy::print_stdout, clippy::print_stderr))]
 
 mod backbone;
+mod clearance;
 mod decode;
 mod dense;
 mod draw;

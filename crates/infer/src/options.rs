@@ -24,6 +24,9 @@ pub struct Options {
     /// Where proposals may be, one entry per pixel of the input or point of the scan: say, the parts that move. The
     /// network still sees everything. `None` = anywhere on the object.
     pub region: Option<Vec<bool>>,
+    /// Whether hands are left out that have no room: where a scan, or the depth beside a picture, shows something in the
+    /// place of palm or fingers before they touch what they shall move. Default: true.
+    pub clearance: bool,
     /// Root of the randomness of the proposals. The same seed and input give the same bits.
     pub seed: Seed,
     /// Network units per metre of a depth map or scan, which is how the object's size is made one the network knows.
@@ -86,6 +89,7 @@ impl Default for Options {
             min_score: 0.0,
             pixel: None,
             region: None,
+            clearance: true,
             seed: Seed(0),
             network_from_metres: None,
         }

@@ -11,6 +11,7 @@ use where2act_core::{
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::{Backbone, Backend, NetworkInput};
+use crate::clearance::Room;
 use crate::decode::{Codes, DecodingHeads, LOOKS, Scored, Tried, select, sigmoid};
 use crate::dense::DenseMaps;
 use crate::pose::proposal;
@@ -215,12 +216,19 @@ impl Predictor {
             None => prepared.places.best(logit, options.candidates),
         };
         let places: Vec<_> = candidates.iter().map(|&row| prepared.place(row)).collect();
+        let seen = if options.clearance { prepared.seen() } else { &[] };
+        let room = |place: &Place| place.point.filter(|_| !seen.is_empty()).map(|at| Room::new(seen, &at));
+        let rooms: Vec<Option<Room>> = places.iter().map(room).collect();
+        let fits = |hand: &Scored| {
+            let room = rooms.get(hand.candidate).and_then(Option::as_ref);
+            room.is_none_or(|room| room.fits(primitive, &hand.rotation))
+        };
         let tried = self.heads.propose(features, &candidates, output, codes)?;
         let looking = match &prepared.input {
             NetworkInput::Cloud(cloud) => self.heads.second_look.as_ref().zip(Some(cloud)),
             NetworkInput::Picture { .. } => None,
         };
-        let best_alone = looking.is_none() && options.proposals_per_pixel() == 1;
+        let best_alone = looking.is_none() && seen.is_empty() && options.proposals_per_pixel() == 1;
         let mut scored = Vec::new();
         for (candidate, (place, tried)) in places.iter().zip(tried).enumerate() {
             scored.extend(possible(&tried, place, best_alone).into_iter().map(|sample| {
@@ -238,9 +246,9 @@ impl Predictor {
                 min_score: f32::NEG_INFINITY,
                 ..Options::default()
             };
-            scored = look.score(features, cloud, &candidates, select(&scored, &promising), output)?;
+            scored = look.score(features, cloud, &candidates, select(&scored, &promising, fits), output)?;
         }
-        let chosen = select(&scored, options);
+        let chosen = select(&scored, options, fits);
         let proposals: Vec<Proposal> = chosen
             .into_iter()
             .enumerate()

@@ -36,6 +36,10 @@ pub(crate) struct Prepared<'a> {
     pixels: Vec<Pixel>,
     /// Depth of the input, if the network itself does not look at it.
     depth: Option<DepthView<'a>>,
+    /// Points of that depth, some hundredths of the picture apart.
+    seen: Vec<Point3<f32>>,
+    /// A scan at full density, in metres, for its normals.
+    surface: Option<NearestIndex>,
     pub(crate) network_from_metres: f32,
 }
 
@@ -93,7 +97,9 @@ impl<'a> Prepared<'a> {
             asked: options.pixel,
             geometry: Geometry::Grid(letterbox),
             pixels: Vec::new(),
+            seen: depth.map(|depth| depth.points()).unwrap_or_default(),
             depth,
+            surface: None,
             network_from_metres: 1.0,
         })
     }
@@ -106,6 +112,7 @@ impl<'a> Prepared<'a> {
         let in_metres = |xyz: &[f32; 3]| input.metres_from_network(&Point3::from(*xyz));
         let xyz = input.xyz.as_chunks().0;
         let index = NearestIndex::new(xyz.iter().map(in_metres).collect());
+        let surface = NearestIndex::new(input.dense.as_chunks().0.iter().map(in_metres).collect());
         let pixel = |source: &usize| match seen.get(*source) {
             Some(pixel) => *pixel,
             None => Pixel { u: *source as u32, v: 0 },
@@ -132,6 +139,8 @@ impl<'a> Prepared<'a> {
             geometry: Geometry::Points { index, asked },
             pixels,
             depth: None,
+            seen: Vec::new(),
+            surface: Some(surface),
         })
     }
 
@@ -143,6 +152,14 @@ impl<'a> Prepared<'a> {
                 (0..inner.height).map(|row| start(row)..start(row) + inner.width).collect()
             }
             Geometry::Points { index, .. } => std::iter::once(0..index.points().len()).collect(),
+        }
+    }
+
+    /// What may be in the way of a hand: the points of a scan, or of the depth beside a picture. Metres.
+    pub(crate) fn seen(&self) -> &[Point3<f32>] {
+        match &self.geometry {
+            Geometry::Grid(_) => &self.seen,
+            Geometry::Points { index, .. } => index.points(),
         }
     }
 
@@ -161,10 +178,11 @@ impl<'a> Prepared<'a> {
             Geometry::Points { index, asked } => {
                 let own = index.points().get(row as usize).copied();
                 let pixel = self.pixels.get(row as usize).copied().unwrap_or(Pixel { u: 0, v: 0 });
-                let normal = own.and_then(|p| {
+                let normal = own.zip(self.surface.as_ref()).and_then(|(p, surface)| {
                     let reach = NORMAL_RADIUS / self.network_from_metres;
-                    let near = index.nearest::<NORMAL_POINTS>(&p).into_iter().filter(|n| n.1 < reach * reach);
-                    let near = near.filter_map(|n| index.points().get(n.0 as usize).copied());
+                    let near =
+                        surface.nearest::<NORMAL_POINTS>(&p).into_iter().filter(|n| n.1 < reach * reach);
+                    let near = near.filter_map(|n| surface.points().get(n.0 as usize).copied());
                     normal(&near.collect::<Vec<_>>())
                 });
                 Place { pixel: self.asked.unwrap_or(pixel), point: asked.or(own), normal }

@@ -18,7 +18,22 @@ pub(crate) struct DepthView<'a> {
     pub(crate) intrinsics: Intrinsics,
 }
 
+/// Pixels of a depth map that are looked at for what is in a hand's way, at most.
+const LOOKED_AT: usize = 16_384;
+
 impl DepthView<'_> {
+    /// The points seen at a grid of pixels, wherever there is depth.
+    pub(crate) fn points(&self) -> Vec<Point3<f32>> {
+        let step = (self.size.pixels() as f32 / LOOKED_AT as f32).sqrt().ceil().max(1.0) as usize;
+        let pixels = (0..self.size.height).step_by(step);
+        let pixels = pixels.flat_map(|v| (0..self.size.width).step_by(step).map(move |u| (u, v)));
+        let point = |(u, v): (usize, usize)| {
+            let z = self.depth_at(u as i64, v as i64)?;
+            Some(self.intrinsics.pixel_to_point(Pixel { u: u as u32, v: v as u32 }, z))
+        };
+        pixels.filter_map(point).collect()
+    }
+
     /// The point seen at a pixel, or at the nearest pixel with depth a few pixels around it.
     pub(crate) fn contact(&self, pixel: Pixel) -> Option<Point3<f32>> {
         if let Some(z) = self.depth_at(i64::from(pixel.u), i64::from(pixel.v)) {

@@ -1,7 +1,9 @@
 //! The library with small random networks: what holds for any weights.
 
-use nalgebra::{Matrix3, Point3, Vector3};
-use where2act_core::{ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing};
+use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
+use where2act_core::{
+    GRIPPER, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing,
+};
 use where2act_infer::{Backend, Error, Options, Predictor};
 use where2act_kernels::Isa;
 use where2act_model::{Modality, ModelConfig, Network, Weights};
@@ -200,6 +202,38 @@ fn a_mask_keeps_candidates_and_heat_on_the_object() {
     }
     let map = output.maps.dense(Primitive::Pulling);
     assert!((0..8000).all(|i| (map[i] > 0.0) == on(i)));
+}
+
+/// A wall with a step of 15 cm towards the camera on its right side.
+fn step() -> Observation {
+    let size = ImageSize::square(32);
+    let depth = (0..size.pixels()).map(|i| if i % 32 < 16 { 2.0 } else { 1.85 }).collect();
+    let rgb = Some(vec![[200, 180, 160]; size.pixels()]);
+    let intrinsics = Some(Intrinsics::from_fov(size, 0.4));
+    Observation::Image { size, rgb, depth: Some(depth), intrinsics, mask: None }
+}
+
+#[test]
+fn hands_that_begin_in_what_is_seen_are_left_out() {
+    let observation = step();
+    let points = observation.foreground_points();
+    let in_palm = |pose: &[[f32; 4]; 4]| {
+        let pose = Matrix4::from(*pose).transpose().try_inverse().unwrap();
+        let (low, high) = (GRIPPER.hand_min, GRIPPER.hand_max);
+        let inside = |p: Point3<f32>| (0..3).all(|i| (low[i] + 0.002..high[i] - 0.002).contains(&p[i]));
+        points.iter().filter(|(_, point)| inside(pose.transform_point(point))).count()
+    };
+    for modality in [Modality::Rgb, Modality::Cloud] {
+        let predictor = predictor(modality);
+        let crowded = |clearance| {
+            let options = Options { top_k: 3000, per_pixel: Some(100), clearance, ..Options::default() };
+            let prediction = predictor.predict(&observation, &options).unwrap();
+            let hands: Vec<_> = prediction.primitives.iter().flat_map(|p| &p.proposals).collect();
+            assert!(hands.len() > 500, "{modality:?}: {}", hands.len());
+            hands.iter().filter(|hand| in_palm(&hand.hand_pose.unwrap()) > 1).count()
+        };
+        assert!(crowded(false) > 10 && crowded(true) == 0, "{modality:?}");
+    }
 }
 
 #[test]

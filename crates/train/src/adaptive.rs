@@ -5,7 +5,7 @@ use rand::seq::{SliceRandom, index};
 use rayon::prelude::*;
 use where2act_core::{Policy, Primitive, Seed, Trial};
 use where2act_infer::{Backend, Error, Predictor};
-use where2act_model::{Network, Weights};
+use where2act_model::{Modality, Network, Weights};
 use where2act_sim::Mode;
 use where2act_sim::collect::{CollectError, Preparer, ScenePrep};
 use where2act_sim::sampling::{Candidate, Sampler};
@@ -80,7 +80,9 @@ fn explore_scene(
         let mut rng = seed.child("random", n as u64).rng();
         chosen.push((primitive, Policy::Random, sampler.random(&mut rng)));
     }
-    let all = proposals(predictor, prep, &sampler, BEST, seed)?;
+    // Pictures mostly come alone, so the network has to learn by itself which hands have room.
+    let clearance = predictor.config().modality == Modality::Cloud;
+    let all = proposals(predictor, prep, &sampler, BEST, clearance, seed)?;
     for (p, (mut own, &primitive)) in all.into_iter().zip(primitives).enumerate() {
         // The turns of this primitive among these trials.
         let count = (own_trials + primitives.len() - 1 - p) / primitives.len();

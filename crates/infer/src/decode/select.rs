@@ -21,9 +21,9 @@ pub(crate) struct Scored {
     pub(crate) score: f32,
 }
 
-/// The best by score, at most so many per pixel, those of one pixel some angle apart. Ties go to the more
-/// actionable candidate, which comes first.
-pub(crate) fn select(all: &[Scored], options: &Options) -> Vec<Scored> {
+/// The best by score that fit, at most so many per pixel, those of one pixel some angle apart. Ties go to the more
+/// actionable candidate, which comes first. Only those about to be chosen are asked whether they fit.
+pub(crate) fn select(all: &[Scored], options: &Options, fits: impl Fn(&Scored) -> bool) -> Vec<Scored> {
     let per_pixel = options.proposals_per_pixel();
     // A heap, because few of the best are looked at. Equal scores stay in the order of their candidates and samples.
     let good = all.iter().enumerate().filter(|(_, scored)| scored.score >= options.min_score);
@@ -34,7 +34,8 @@ pub(crate) fn select(all: &[Scored], options: &Options) -> Vec<Scored> {
     {
         let mut here = chosen.iter().filter(|c| c.pixel == scored.pixel);
         let full = here.clone().count() >= per_pixel;
-        if !full && here.all(|c| c.rotation.angle_to(&scored.rotation) >= Options::MIN_ANGLE) {
+        let other = here.all(|c| c.rotation.angle_to(&scored.rotation) >= Options::MIN_ANGLE);
+        if !full && other && fits(&scored) {
             chosen.push(scored);
         }
     }
@@ -78,13 +79,16 @@ mod tests {
             score,
         };
         let all = vec![scored(0, 0.0, 0.5), scored(0, 0.1, 0.9), scored(0, 1.0, 0.8), scored(1, 0.0, 0.85)];
-        let scores = |o: &Options| select(&all, o).iter().map(|s| s.score).collect::<Vec<_>>();
+        let scores = |o: &Options| select(&all, o, |_| true).iter().map(|s| s.score).collect::<Vec<_>>();
         assert_eq!(scores(&Options::default()), [0.9, 0.85]);
         assert_eq!(scores(&Options { per_pixel: Some(5), ..Options::default() }), [0.9, 0.85, 0.8]);
         assert_eq!(scores(&Options { min_score: 0.86, ..Options::default() }), [0.9]);
         assert_eq!(scores(&Options { top_k: 1, ..Options::default() }), [0.9]);
+        let low = select(&all, &Options::default(), |s| s.score < 0.9);
+        assert_eq!(low.iter().map(|s| s.score).collect::<Vec<_>>(), [0.85, 0.8], "what does not fit");
         let equal: Vec<Scored> = (0..50).map(|u| scored(u, 0.0, 0.5)).collect();
-        let first: Vec<usize> = select(&equal, &Options::default()).iter().map(|s| s.candidate).collect();
+        let first: Vec<usize> =
+            select(&equal, &Options::default(), |_| true).iter().map(|s| s.candidate).collect();
         assert_eq!(first, (0..10).collect::<Vec<_>>(), "ties");
     }
 }

@@ -54,6 +54,9 @@ struct Args {
     /// Random lights, materials, backgrounds and sensors instead of the published look.
     #[arg(long)]
     randomise: bool,
+    /// Also execute proposals whose hand has no room by the depth map: what a picture alone would tell.
+    #[arg(long)]
+    no_clearance: bool,
     /// Root of the randomness.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -75,6 +78,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         random: args.random,
         informed: args.informed,
         randomise: args.randomise,
+        clearance: !args.no_clearance,
         ..EvaluateConfig::new(objects(args)?, args.episodes, Seed(args.seed))
     };
     if config.proposals == 0 || config.scenes == 0 {

@@ -52,16 +52,19 @@ pub(super) fn run(prep: &ScenePrep, primitive: Primitive, policy: Policy, candid
     prep.run(primitive, policy, candidate, Mode::Fast)
 }
 
-/// The network's `count` best proposals at pixels of movable parts, best first, for each of its primitives.
+/// The network's `count` best proposals at pixels of movable parts, best first, for each of its primitives; with
+/// `clearance`, of hands that have room.
 pub(crate) fn proposals(
     predictor: &Predictor,
     prep: &ScenePrep,
     sampler: &Sampler<'_>,
     count: usize,
+    clearance: bool,
     seed: Seed,
 ) -> Result<Vec<Vec<Candidate>>, Error> {
     let options = Options {
         top_k: count,
+        clearance,
         seed,
         region: Some(prep.view.link.iter().map(|&link| link > 1).collect()),
         network_from_metres: Some(1.0),

@@ -45,13 +45,26 @@ pub struct EvaluateConfig {
     pub informed: usize,
     /// Whether the published look is replaced by random lights, materials, backgrounds and sensors.
     pub randomise: bool,
+    /// Whether proposals are left out whose hand has no room by the depth map ([`Options::clearance`]).
+    ///
+    /// [`Options::clearance`]: where2act_infer::Options::clearance
+    pub clearance: bool,
 }
 
 impl EvaluateConfig {
     /// The usual numbers for some objects.
     #[must_use]
     pub fn new(objects: ObjectSet, scenes: u64, seed: Seed) -> Self {
-        Self { objects, scenes, seed, proposals: 5, random: 16, informed: 200, randomise: false }
+        Self {
+            objects,
+            scenes,
+            seed,
+            proposals: 5,
+            random: 16,
+            informed: 200,
+            randomise: false,
+            clearance: true,
+        }
     }
 
     fn recipe(&self) -> Recipe {
@@ -195,7 +208,7 @@ impl Judge<'_> {
         let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(judged(results)) };
         // All there are, one at each candidate, to draw from.
         let count = config.proposals.max(Options::default().candidates);
-        let proposals = proposals(predictor, prep, &sampler, count, seed)
+        let proposals = proposals(predictor, prep, &sampler, count, config.clearance, seed)
             .map_err(|source| EvaluateError::Predict { scene: index, source })?;
         let mut random_trials: Vec<Trial> = Vec::new();
         for ((&primitive, own), result) in primitives.iter().zip(&proposals).zip(&mut results) {

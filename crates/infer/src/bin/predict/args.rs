@@ -75,6 +75,9 @@ pub(crate) struct Args {
     /// Only this pixel: what can be done here? For scans: the index of a point and 0.
     #[arg(long, value_name = "U,V", value_delimiter = ',')]
     pixel: Vec<u32>,
+    /// Keep hands that have no room: those that the scan or depth map shows to touch something before they should.
+    #[arg(long)]
+    no_clearance: bool,
     /// Network units per metre, for depth maps and scans.
     #[arg(long, value_name = "S", conflicts_with = "keep_scale", allow_negative_numbers = true)]
     object_scale: Option<f32>,
@@ -191,6 +194,7 @@ impl Args {
             candidates: self.candidates,
             min_score: self.min_score,
             pixel: if let [u, v] = *self.pixel.as_slice() { Some(Pixel { u, v }) } else { None },
+            clearance: !self.no_clearance,
             seed: Seed(self.seed),
             network_from_metres: if self.keep_scale { Some(1.0) } else { self.object_scale },
             ..Options::default()

@@ -1,0 +1,110 @@
+//! Whether the hand has room: nothing that is seen may be where palm and fingers are before they touch what they shall move.
+
+use nalgebra::{Point3, Rotation3, Vector3};
+use where2act_core::{FingerState, GRIPPER, Primitive};
+
+/// Farthest that a part of the hand is from the contact point at the start, metres: the corners of the palm's back.
+const REACH: f32 = 0.206;
+/// How far inside the hand a point must be, metres: depth cameras are no more exact than that.
+const MARGIN: f32 = 0.002;
+/// Points inside the hand that are more than a flying pixel.
+const ENOUGH: usize = 2;
+
+/// What is seen around a contact point.
+pub(crate) struct Room {
+    /// Points less than [`REACH`] away, as offsets from the contact point in the camera frame, metres.
+    offsets: Vec<Vector3<f32>>,
+}
+
+impl Room {
+    pub(crate) fn new(seen: &[Point3<f32>], contact: &Point3<f32>) -> Self {
+        let offsets = seen.iter().map(|point| point - contact);
+        Self { offsets: offsets.filter(|offset| offset.norm_squared() < REACH * REACH).collect() }
+    }
+
+    /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm until the finger
+    /// tips touch, where pushing with anything else does.
+    pub(crate) fn fits(&self, primitive: Primitive, rotation: &Rotation3<f32>) -> bool {
+        let opening = match primitive.fingers() {
+            FingerState::Open => GRIPPER.finger_travel,
+            FingerState::Closed => 0.0,
+        };
+        let in_the_way = self.offsets.iter().filter(|offset| {
+            let from_contact = rotation.inverse_transform_vector(offset);
+            let at = |distance: f32| from_contact + Vector3::z() * distance;
+            let start = at(Primitive::START_DISTANCE);
+            let pushes = !primitive.is_pulling();
+            in_palm(&start) || in_fingers(&start, opening) || (pushes && in_palm(&at(GRIPPER.tip)))
+        });
+        in_the_way.take(ENOUGH).count() < ENOUGH
+    }
+}
+
+/// Whether a point of the hand frame is inside the palm.
+fn in_palm(point: &Vector3<f32>) -> bool {
+    let corners = GRIPPER.hand_min.iter().zip(GRIPPER.hand_max);
+    point.iter().zip(corners).all(|(x, (low, high))| (low + MARGIN..high - MARGIN).contains(x))
+}
+
+/// Whether a point of the hand frame is inside one of the fingers, which are `opening` from where they meet.
+fn in_fingers(point: &Vector3<f32>, opening: f32) -> bool {
+    let ([_, _, bottom], [wide_x, wide_y, top]) = (GRIPPER.finger_min, GRIPPER.finger_max);
+    let z = point.z - GRIPPER.finger_offset;
+    // From the shoulder on they get narrower.
+    let narrow = ((z - GRIPPER.finger_shoulder) / (top - GRIPPER.finger_shoulder)).clamp(0.0, 1.0);
+    let x = wide_x + narrow * (GRIPPER.finger_tip_x - wide_x);
+    let y = wide_y + narrow * (GRIPPER.finger_tip_y - wide_y);
+    (bottom..top - MARGIN).contains(&z)
+        && point.x.abs() < x - MARGIN
+        && (0.0..y - MARGIN).contains(&(point.y.abs() - opening))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A hand that comes straight along the camera's axis, with its y axis along the camera's.
+    fn straight() -> Rotation3<f32> {
+        Rotation3::identity()
+    }
+
+    /// Two points at an offset from the contact point.
+    fn seen(x: f32, y: f32, z: f32) -> Room {
+        let contact = Point3::new(0.1, -0.2, 1.5);
+        let point = contact + Vector3::new(x, y, z);
+        Room::new(&[point, point, contact, Point3::origin()], &contact)
+    }
+
+    #[test]
+    fn what_stands_before_the_surface_meets_palm_or_fingers() {
+        use Primitive::{Pulling, Pushing, PushingLeft};
+        let fits = |room: &Room, primitive| room.fits(primitive, &straight());
+        // Right where the palm begins, and a flying pixel there.
+        assert!(!fits(&seen(0.0, 0.09, -0.1), Pushing) && !fits(&seen(0.0, 0.09, -0.1), Pulling));
+        let contact = Point3::origin();
+        let alone = Room::new(&[Point3::new(0.0, 0.09, -0.1)], &contact);
+        assert!(fits(&alone, Pushing));
+        // Beside the palm: nothing is in the way, unless the hand is turned by a right angle.
+        let beside = seen(0.09, 0.0, -0.1);
+        assert!(fits(&beside, Pushing));
+        assert!(!beside.fits(Pushing, &Rotation3::from_axis_angle(&Vector3::z_axis(), 1.57)));
+        // Before closed fingers, between open ones, and where an open one is.
+        assert!(!fits(&seen(0.0, 0.0, -0.045), Pushing) && fits(&seen(0.0, 0.0, -0.045), Pulling));
+        assert!(fits(&seen(0.0, 0.045, -0.045), Pushing) && !fits(&seen(0.0, 0.045, -0.045), Pulling));
+        // A finger's tip is narrower than its shoulder.
+        let (at_tip, at_shoulder) = (seen(0.0, 0.06, -0.045), seen(0.0, 0.06, -0.075));
+        assert!(fits(&at_tip, Pulling) && !fits(&at_shoulder, Pulling));
+        // Before the palm, which gets there before the finger tips touch. Fingers that pull may grip beside it.
+        let step = seen(0.0, 0.09, -0.06);
+        assert!(!fits(&step, Pushing) && !fits(&step, PushingLeft) && fits(&step, Pulling));
+        // The surface itself, and what is out of reach.
+        assert!(fits(&seen(0.0, 0.05, 0.0), Pushing) && seen(0.0, 0.0, -0.3).offsets.len() == 1);
+    }
+
+    #[test]
+    fn no_corner_of_the_hand_is_out_of_reach() {
+        let ([_, _, back], [x, y, _]) = (GRIPPER.hand_min, GRIPPER.hand_max);
+        let corner = Vector3::new(x, y, back - Primitive::START_DISTANCE);
+        assert!((corner.norm()..corner.norm() + 1e-3).contains(&REACH));
+    }
+}
