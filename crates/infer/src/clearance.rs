@@ -23,7 +23,7 @@ impl Room {
     }
 
     /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm until the finger
-    /// tips touch, where pushing with anything else does.
+    /// tips touch, because a push must not begin with it, and a grip would not get that far.
     pub(crate) fn fits(&self, primitive: Primitive, rotation: &Rotation3<f32>) -> bool {
         let opening = match primitive.fingers() {
             FingerState::Open => GRIPPER.finger_travel,
@@ -33,8 +33,7 @@ impl Room {
             let from_contact = rotation.inverse_transform_vector(offset);
             let at = |distance: f32| from_contact + Vector3::z() * distance;
             let start = at(Primitive::START_DISTANCE);
-            let pushes = !primitive.is_pulling();
-            in_palm(&start) || in_fingers(&start, opening) || (pushes && in_palm(&at(GRIPPER.tip)))
+            in_palm(&start) || in_fingers(&start, opening) || in_palm(&at(GRIPPER.tip))
         });
         in_the_way.take(ENOUGH).count() < ENOUGH
     }
@@ -77,7 +76,7 @@ mod tests {
 
     #[test]
     fn what_stands_before_the_surface_meets_palm_or_fingers() {
-        use Primitive::{Pulling, Pushing, PushingLeft};
+        use Primitive::{Pulling, Pushing};
         let fits = |room: &Room, primitive| room.fits(primitive, &straight());
         // Right where the palm begins, and a flying pixel there.
         assert!(!fits(&seen(0.0, 0.09, -0.1), Pushing) && !fits(&seen(0.0, 0.09, -0.1), Pulling));
@@ -91,12 +90,12 @@ mod tests {
         // Before closed fingers, between open ones, and where an open one is.
         assert!(!fits(&seen(0.0, 0.0, -0.045), Pushing) && fits(&seen(0.0, 0.0, -0.045), Pulling));
         assert!(fits(&seen(0.0, 0.045, -0.045), Pushing) && !fits(&seen(0.0, 0.045, -0.045), Pulling));
-        // A finger's tip is narrower than its shoulder.
-        let (at_tip, at_shoulder) = (seen(0.0, 0.06, -0.045), seen(0.0, 0.06, -0.075));
-        assert!(fits(&at_tip, Pulling) && !fits(&at_shoulder, Pulling));
-        // Before the palm, which gets there before the finger tips touch. Fingers that pull may grip beside it.
+        // A finger is narrower at its tip than behind it.
+        let (at_tip, behind) = (seen(0.0, 0.055, -0.04), seen(0.0, 0.055, -0.0465));
+        assert!(fits(&at_tip, Pulling) && !fits(&behind, Pulling));
+        // Before the palm, which gets there before the finger tips touch.
         let step = seen(0.0, 0.09, -0.06);
-        assert!(!fits(&step, Pushing) && !fits(&step, PushingLeft) && fits(&step, Pulling));
+        assert!(!fits(&step, Pushing) && !fits(&step, Pulling) && fits(&seen(0.0, 0.09, -0.045), Pushing));
         // The surface itself, and what is out of reach.
         assert!(fits(&seen(0.0, 0.05, 0.0), Pushing) && seen(0.0, 0.0, -0.3).offsets.len() == 1);
     }

@@ -58,6 +58,12 @@
 //! Then pulling closes the fingers and goes back to 0.15 m; the *-up and *-left primitives move 0.05 m along the
 //! hand's y and x; pushing is done. `close_at` says at which waypoint the fingers close.
 //!
+//! # Room for the hand
+//!
+//! A proposal is left out if the scan, or the depth beside a picture, shows something in the place of the palm or the
+//! fingers at the start, or of the palm until the finger tips touch. What the camera does not see is not considered, nor is
+//! the arm behind the hand. [`Options::clearance`] switches it off.
+//!
 //! # Sizes
 //!
 //! The networks know objects that fit a sphere of about 1 m and a hand of real size. A depth map or scan of an object
