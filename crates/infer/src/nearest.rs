@@ -52,9 +52,15 @@ impl NearestIndex {
             sum += *count;
             *count = sum;
         }
-        let mut order: Vec<u32> = (0..index.points.len() as u32).collect();
-        order.sort_by_key(|&i| (homes.get(i as usize).copied(), i));
-        index.members = order;
+        index.members = vec![0; index.points.len()];
+        let mut next = index.start.clone();
+        for (i, &home) in (0..).zip(&homes) {
+            let Some(place) = next.get_mut(home) else { continue };
+            if let Some(member) = index.members.get_mut(*place as usize) {
+                *member = i;
+            }
+            *place += 1;
+        }
         index
     }
 
