@@ -1,6 +1,7 @@
 //! What a network is: the one description that is validated, stored beside the weights and needed to run them.
 
-use serde::{Deserialize, Serialize};
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use where2act_core::Primitive;
 
 /// What a network looks at.
@@ -48,8 +49,10 @@ impl Default for Preprocessing {
 
 /// Everything that decides the shapes of a network's parameters and what is fed to it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "RawModelConfig", into = "RawModelConfig")]
+#[serde(remote = "Self", deny_unknown_fields)]
 pub struct ModelConfig {
+    /// Version of this description.
+    pub schema: Schema,
     /// Name for people, e.g. in predictions.
     pub name: String,
     /// What the network looks at.
@@ -57,6 +60,7 @@ pub struct ModelConfig {
     /// One output of every head per primitive, in this order. A list of one is the published network.
     pub primitives: Vec<Primitive>,
     /// Width of the U-Net relative to ResNet-18's 64 channels: 1 is the paper's, 0.5 a compact one. Ignored for clouds.
+    #[serde(default = "one")]
     pub width: f32,
     /// Numbers per pixel or point that the backbone hands to the heads. Published: 128.
     pub features: usize,
@@ -64,6 +68,7 @@ pub struct ModelConfig {
     pub hidden: usize,
     /// Another size for that of the actionability, which runs at every pixel or point instead of at candidates only.
     /// Published: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub actionability_hidden: Option<usize>,
     /// Numbers of the proposal's random code z. Published: 10.
     pub latent: usize,
@@ -71,18 +76,23 @@ pub struct ModelConfig {
     pub points: usize,
     /// Whether every point is also described by its nearest surroundings in the full scan, some centimetres: where a
     /// finger fits. Not in the published network. Ignored for pictures.
+    #[serde(default)]
     pub surroundings: bool,
     /// Directions that the score head predicts at each pixel or point, to see how well a hand is aligned with them.
     /// Published: none.
+    #[serde(default)]
     pub alignments: usize,
     /// Whether the proposals that the score likes best are scored once more, from the scan as the hand would see it. Not in
     /// the published network. Ignored for pictures.
+    #[serde(default)]
     pub second_look: bool,
     /// How much a score's logit differs between a hand that wants a point to go where it can and one that wants it to go
     /// where it cannot, if the features are asked for the ways of points at all ([`crate::MotionHead`]); 0 asks without
     /// consequence. Published: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ways: Option<f32>,
     /// How inputs are prepared.
+    #[serde(default)]
     pub preprocessing: Preprocessing,
 }
 
@@ -100,6 +110,7 @@ impl ModelConfig {
     #[must_use]
     pub fn new(modality: Modality, primitives: &[Primitive]) -> Self {
         Self {
+            schema: Schema::V1,
             name: match modality {
                 Modality::Rgb => "where2act-rgb".to_owned(),
                 Modality::Cloud => "where2act-cloud".to_owned(),
@@ -193,36 +204,11 @@ impl ModelConfig {
     }
 }
 
-/// [`ModelConfig`] as it stands in a file, before it is checked.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct RawModelConfig {
-    schema: Schema,
-    name: String,
-    modality: Modality,
-    primitives: Vec<Primitive>,
-    #[serde(default = "one")]
-    width: f32,
-    features: usize,
-    hidden: usize,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    actionability_hidden: Option<usize>,
-    latent: usize,
-    points: usize,
-    #[serde(default)]
-    surroundings: bool,
-    #[serde(default)]
-    alignments: usize,
-    #[serde(default)]
-    second_look: bool,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    ways: Option<f32>,
-    #[serde(default)]
-    preprocessing: Preprocessing,
-}
-
-#[derive(Serialize, Deserialize)]
-enum Schema {
+/// Version of a [`ModelConfig`] in a file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Schema {
+    /// The only one there is.
+    #[default]
     #[serde(rename = "where2act.model/1")]
     V1,
 }
@@ -231,80 +217,17 @@ fn one() -> f32 {
     1.0
 }
 
-impl From<ModelConfig> for RawModelConfig {
-    fn from(c: ModelConfig) -> Self {
-        let ModelConfig {
-            name,
-            modality,
-            primitives,
-            width,
-            features,
-            hidden,
-            actionability_hidden,
-            latent,
-            points,
-            surroundings,
-            alignments,
-            second_look,
-            ways,
-            preprocessing,
-        } = c;
-        let schema = Schema::V1;
-        Self {
-            schema,
-            name,
-            modality,
-            primitives,
-            width,
-            features,
-            hidden,
-            actionability_hidden,
-            latent,
-            points,
-            surroundings,
-            alignments,
-            second_look,
-            ways,
-            preprocessing,
-        }
+impl Serialize for ModelConfig {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        Self::serialize(self, serializer)
     }
 }
 
-impl TryFrom<RawModelConfig> for ModelConfig {
-    type Error = ConfigError;
-
-    fn try_from(raw: RawModelConfig) -> Result<Self, ConfigError> {
-        let RawModelConfig { name, modality, primitives, width, .. } = raw;
-        let RawModelConfig {
-            features,
-            hidden,
-            actionability_hidden,
-            latent,
-            points,
-            surroundings,
-            alignments,
-            second_look,
-            ways,
-            preprocessing,
-            ..
-        } = raw;
-        let config = Self {
-            name,
-            modality,
-            primitives,
-            width,
-            features,
-            hidden,
-            actionability_hidden,
-            latent,
-            points,
-            surroundings,
-            alignments,
-            second_look,
-            ways,
-            preprocessing,
-        };
-        config.validate()?;
+impl<'de> Deserialize<'de> for ModelConfig {
+    /// Fails for a configuration that describes no network.
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let config = Self::deserialize(deserializer)?;
+        config.validate().map_err(D::Error::custom)?;
         Ok(config)
     }
 }

@@ -28,7 +28,7 @@ mod testing;
 mod unet;
 mod weights;
 
-pub use config::{ConfigError, Modality, ModelConfig, Preprocessing};
+pub use config::{ConfigError, Modality, ModelConfig, Preprocessing, Schema};
 pub use engine::{Engine, EngineError, Features, LastLayer, SurroundingsEngine};
 pub use heads::{
     ActionabilityHead, Choice, Code, HAND_VIEWS, HandView, Heads, MotionHead, ProposalDecoder,

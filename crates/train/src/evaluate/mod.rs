@@ -253,7 +253,8 @@ impl Judge<'_> {
         let random = contestants::random(prep, sampler, primitive, config.random, seed);
         let along = contestants::along_normal(prep, sampler, primitive, config.random, seed);
         result.trials = vec![
-            (Contestant::TopOne, best.first().copied().into_iter().collect()),
+            // Who proposes nothing has failed.
+            (Contestant::TopOne, vec![best.first().copied().unwrap_or(false)]),
             (Contestant::TopK, best),
             (Contestant::Sampled, sampled),
             (Contestant::Random, random.iter().map(|t| t.verdict.success).collect()),
