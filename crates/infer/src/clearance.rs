@@ -1,10 +1,11 @@
-//! Whether the hand has room: nothing that is seen may be where palm and fingers are before they touch what they shall move.
+//! Whether the hand has room: nothing that is seen may be where palm and fingers are at the start, nor where the palm is until
+//! the finger tips touch. (The simulator's `Clearance` asks the object itself, of which a camera sees half.)
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::{FingerState, GRIPPER, Primitive};
 
 /// Farthest that a part of the hand is from the contact point at the start, metres: the corners of the palm's back.
-const REACH: f32 = 0.206;
+pub(crate) const REACH: f32 = 0.206;
 /// How far inside the hand a point must be, metres: depth cameras are no more exact than that.
 const MARGIN: f32 = 0.002;
 /// Points inside the hand that are more than a flying pixel.
@@ -17,13 +18,14 @@ pub(crate) struct Room {
 }
 
 impl Room {
-    pub(crate) fn new(seen: &[Point3<f32>], contact: &Point3<f32>) -> Self {
-        let offsets = seen.iter().map(|point| point - contact);
+    pub(crate) fn new(obstacles: impl Iterator<Item = Point3<f32>>, contact: &Point3<f32>) -> Self {
+        let offsets = obstacles.map(|point| point - contact);
         Self { offsets: offsets.filter(|offset| offset.norm_squared() < REACH * REACH).collect() }
     }
 
-    /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm until the finger
-    /// tips touch, because a push must not begin with it, and a grip would not get that far.
+    /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm when the finger
+    /// tips touch, because a push must not begin with it, and a grip would not get that far. Between the two the palm moves
+    /// by less than half its depth.
     pub(crate) fn fits(&self, primitive: Primitive, rotation: &Rotation3<f32>) -> bool {
         let opening = match primitive.fingers() {
             FingerState::Open => GRIPPER.finger_travel,
@@ -53,9 +55,11 @@ fn in_fingers(point: &Vector3<f32>, opening: f32) -> bool {
     let narrow = ((z - GRIPPER.finger_shoulder) / (top - GRIPPER.finger_shoulder)).clamp(0.0, 1.0);
     let x = wide_x + narrow * (GRIPPER.finger_tip_x - wide_x);
     let y = wide_y + narrow * (GRIPPER.finger_tip_y - wide_y);
+    // Where closed fingers meet they have no surface.
+    let inner = if opening > 0.0 { MARGIN } else { 0.0 };
     (bottom..top - MARGIN).contains(&z)
         && point.x.abs() < x - MARGIN
-        && (0.0..y - MARGIN).contains(&(point.y.abs() - opening))
+        && (inner..y - MARGIN).contains(&(point.y.abs() - opening))
 }
 
 #[cfg(test)]
@@ -71,7 +75,7 @@ mod tests {
     fn seen(x: f32, y: f32, z: f32) -> Room {
         let contact = Point3::new(0.1, -0.2, 1.5);
         let point = contact + Vector3::new(x, y, z);
-        Room::new(&[point, point, contact, Point3::origin()], &contact)
+        Room::new([point, point, contact, Point3::origin()].into_iter(), &contact)
     }
 
     #[test]
@@ -81,7 +85,7 @@ mod tests {
         // Right where the palm begins, and a flying pixel there.
         assert!(!fits(&seen(0.0, 0.09, -0.1), Pushing) && !fits(&seen(0.0, 0.09, -0.1), Pulling));
         let contact = Point3::origin();
-        let alone = Room::new(&[Point3::new(0.0, 0.09, -0.1)], &contact);
+        let alone = Room::new(std::iter::once(Point3::new(0.0, 0.09, -0.1)), &contact);
         assert!(fits(&alone, Pushing));
         // Beside the palm: nothing is in the way, unless the hand is turned by a right angle.
         let beside = seen(0.09, 0.0, -0.1);

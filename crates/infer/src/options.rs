@@ -24,8 +24,9 @@ pub struct Options {
     /// Where proposals may be, one entry per pixel of the input or point of the scan: say, the parts that move. The
     /// network still sees everything. `None` = anywhere on the object.
     pub region: Option<Vec<bool>>,
-    /// Whether hands are left out that have no room: where a scan, or the depth beside a picture, shows something in the
-    /// place of palm or fingers before they touch what they shall move. Default: true.
+    /// Whether hands are left out that have no room: where a scan or a depth map shows something in the place of palm or
+    /// fingers at the start, or of the palm until the finger tips touch. There may be fewer proposals then than asked for,
+    /// or none. Default: true.
     pub clearance: bool,
     /// Root of the randomness of the proposals. The same seed and input give the same bits.
     pub seed: Seed,

@@ -216,8 +216,7 @@ impl Predictor {
             None => prepared.places.best(logit, options.candidates),
         };
         let places: Vec<_> = candidates.iter().map(|&row| prepared.place(row)).collect();
-        let seen = if options.clearance { prepared.seen() } else { &[] };
-        let room = |place: &Place| place.point.filter(|_| !seen.is_empty()).map(|at| Room::new(seen, &at));
+        let room = |place: &Place| if options.clearance { prepared.room(place) } else { None };
         let rooms: Vec<Option<Room>> = places.iter().map(room).collect();
         let fits = |hand: &Scored| {
             let room = rooms.get(hand.candidate).and_then(Option::as_ref);
@@ -228,7 +227,8 @@ impl Predictor {
             NetworkInput::Cloud(cloud) => self.heads.second_look.as_ref().zip(Some(cloud)),
             NetworkInput::Picture { .. } => None,
         };
-        let best_alone = looking.is_none() && seen.is_empty() && options.proposals_per_pixel() == 1;
+        let best_alone =
+            looking.is_none() && rooms.iter().all(Option::is_none) && options.proposals_per_pixel() == 1;
         let mut scored = Vec::new();
         for (candidate, (place, tried)) in places.iter().zip(tried).enumerate() {
             scored.extend(possible(&tried, place, best_alone).into_iter().map(|sample| {

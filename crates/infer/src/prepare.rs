@@ -8,6 +8,7 @@ use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox,
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::NetworkInput;
+use crate::clearance::{REACH, Room};
 use crate::decode::Places;
 use crate::dense::{Geometry, on_object};
 use crate::nearest::NearestIndex;
@@ -34,11 +35,9 @@ pub(crate) struct Prepared<'a> {
     pub(crate) geometry: Geometry,
     /// Pixel of the input for each row of a network for scans.
     pixels: Vec<Pixel>,
-    /// Depth of the input, if the network itself does not look at it.
+    /// Depth map of the input.
     depth: Option<DepthView<'a>>,
-    /// Points of that depth, some hundredths of the picture apart.
-    seen: Vec<Point3<f32>>,
-    /// A scan at full density, in metres, for its normals.
+    /// A scan at full density, in metres.
     surface: Option<NearestIndex>,
     pub(crate) network_from_metres: f32,
 }
@@ -70,7 +69,7 @@ impl<'a> Prepared<'a> {
     }
 
     fn picture(observation: &'a Observation, config: &ModelConfig, options: &Options) -> Result<Self, Error> {
-        let Observation::Image { size, rgb: Some(rgb), depth, intrinsics, mask } = observation else {
+        let Observation::Image { size, rgb: Some(rgb), mask, .. } = observation else {
             return Err(Error::invalid("observation", "a picture", "none"));
         };
         let ImageInput { values, letterbox } =
@@ -84,12 +83,6 @@ impl<'a> Prepared<'a> {
             on.map(|p| (network.index(p) as u32, [p.u as f32, p.v as f32, 0.0])),
             PIXEL_DISTANCE * side as f32,
         );
-        let depth = match (depth, intrinsics) {
-            (Some(depth), Some(intrinsics)) => {
-                Some(DepthView { size: *size, depth, intrinsics: *intrinsics })
-            }
-            _ => None,
-        };
         Ok(Self {
             input: NetworkInput::Picture { values, side },
             places,
@@ -97,8 +90,7 @@ impl<'a> Prepared<'a> {
             asked: options.pixel,
             geometry: Geometry::Grid(letterbox),
             pixels: Vec::new(),
-            seen: depth.map(|depth| depth.points()).unwrap_or_default(),
-            depth,
+            depth: DepthView::of(observation),
             surface: None,
             network_from_metres: 1.0,
         })
@@ -138,8 +130,7 @@ impl<'a> Prepared<'a> {
             asked: options.pixel,
             geometry: Geometry::Points { index, asked },
             pixels,
-            depth: None,
-            seen: Vec::new(),
+            depth: DepthView::of(observation),
             surface: Some(surface),
         })
     }
@@ -155,11 +146,13 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// What may be in the way of a hand: the points of a scan, or of the depth beside a picture. Metres.
-    pub(crate) fn seen(&self) -> &[Point3<f32>] {
-        match &self.geometry {
-            Geometry::Grid(_) => &self.seen,
-            Geometry::Points { index, .. } => index.points(),
+    /// Room for hands at a place, if there is depth: a mask hides nothing that may be in their way.
+    pub(crate) fn room(&self, place: &Place) -> Option<Room> {
+        let contact = place.point?;
+        match (self.depth, &self.surface) {
+            (Some(depth), _) => Some(Room::new(depth.around_point(&contact, REACH).into_iter(), &contact)),
+            (None, Some(surface)) => Some(Room::new(surface.points().iter().copied(), &contact)),
+            (None, None) => None,
         }
     }
 

@@ -49,6 +49,7 @@ impl Default for Preprocessing {
 
 /// Everything that decides the shapes of a network's parameters and what is fed to it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+// What is derived becomes functions of the type's own, behind the traits that check: see `impl Deserialize` below.
 #[serde(remote = "Self", deny_unknown_fields)]
 pub struct ModelConfig {
     /// Version of this description.
@@ -205,10 +206,9 @@ impl ModelConfig {
 }
 
 /// Version of a [`ModelConfig`] in a file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Schema {
     /// The only one there is.
-    #[default]
     #[serde(rename = "where2act.model/1")]
     V1,
 }

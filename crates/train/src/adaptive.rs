@@ -80,7 +80,7 @@ fn explore_scene(
         let mut rng = seed.child("random", n as u64).rng();
         chosen.push((primitive, Policy::Random, sampler.random(&mut rng)));
     }
-    // Pictures mostly come alone, so the network has to learn by itself which hands have room.
+    // Photos have no depth map, so the network for pictures has to learn by itself which hands have room.
     let clearance = predictor.config().modality == Modality::Cloud;
     let all = proposals(predictor, prep, &sampler, BEST, clearance, seed)?;
     for (p, (mut own, &primitive)) in all.into_iter().zip(primitives).enumerate() {

@@ -104,14 +104,15 @@ pub struct BatchConfig {
     pub trials_per_view: usize,
     /// Free negatives per trial: the same trial with the approach flipped cannot succeed. The paper adds one each.
     pub flipped: f32,
-    /// Free negatives per trial: the same orientation at a random place of a part that does not move or, in pictures,
-    /// beside the object. 0 leaves such places out altogether, as the paper does.
+    /// Free negatives per trial: the same orientation at a random place of a part that does not move or, in pictures, of the
+    /// background, half of them right beside an outline. 0 leaves such places out altogether, as the paper does.
     pub fixed: f32,
     /// Share of the views that are shown mirrored.
     pub mirrored: f32,
     /// Whether hands that push or pull are turned half round about their approach at random, which changes nothing.
     pub half_turns: bool,
-    /// Further places of a view at which only actionability is learnt, and what the scene knows.
+    /// Further places of a view at which only actionability is learnt, and what the scene knows. Of those on parts that move,
+    /// half are drawn by pixel and half by part.
     pub places_per_view: usize,
     /// Places of a view in the steps that only look.
     pub looks_per_view: usize,

@@ -47,10 +47,10 @@ impl Question {
     }
 }
 
-/// How far from an outline a pixel still lies beside it: as far as a gripper's finger is wide, in most views.
+/// How far from an outline a pixel still lies beside it: 8 cm in the published view, the width of an open hand.
 const BESIDE: usize = 12;
 /// A pixel of the picture shows [`DEPTH_SIDE`] / [`RGB_SIDE`] pixels of the depth map a side, so that one this close to an
-/// outline may show what is on its other side.
+/// outline may show what is on its other side; depth cameras mix the two there.
 const BLURRED: usize = DEPTH_SIDE / RGB_SIDE;
 
 /// What pixels of the stored depth map show.
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn beside_an_outline_is_within_a_finger_but_not_under_it() {
+    fn beside_an_outline_is_near_it_but_not_on_it() {
         // A movable square of 100 pixels in the middle of a fixed one of 200 on the background.
         let square = |i: usize, half: usize| {
             [i % DEPTH_SIDE, i / DEPTH_SIDE].iter().all(|x| (224 - half..224 + half).contains(x))

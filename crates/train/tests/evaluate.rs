@@ -58,7 +58,7 @@ fn check(judgement: &Judgement) {
         let [best, best_two, sampled, random, along_normal, informed] = tries[..] else {
             panic!("{tries:?}")
         };
-        assert!(best <= row.possible_scenes && best_two <= 2 * row.possible_scenes);
+        assert!(best == row.possible_scenes && best_two <= 2 * row.possible_scenes);
         assert_eq!((sampled, random, along_normal), (best_two, 2 * row.possible_scenes, random));
         assert!(informed <= 2 * row.possible_scenes);
         for (contestant, rate) in &row.rates {

@@ -54,7 +54,7 @@ struct Args {
     /// Random lights, materials, backgrounds and sensors instead of the published look.
     #[arg(long)]
     randomise: bool,
-    /// Also execute proposals whose hand has no room by the depth map: what a picture alone would tell.
+    /// Also execute proposals whose hand has no room by the depth map.
     #[arg(long)]
     no_clearance: bool,
     /// Root of the randomness.

@@ -14,7 +14,7 @@ use where2act_sim::sampling::{Candidate, Sampler};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Contestant {
-    /// The network's best proposal.
+    /// The network's best proposal; a failure where it has none.
     TopOne,
     /// The network's best few proposals, each at a pixel of its own.
     TopK,

@@ -89,12 +89,14 @@ impl Report {
                 "Candidates are the 32 most actionable pixels of movable parts that keep a distance; 100 proposals at \
                  each{room}, the best four of which are scored once more if the network takes a second look; the \
                  best-scored one per pixel. Top-1 is the best of them, top-k the best {0} (one per pixel), \
-                 sampled {0} drawn at random from all of them, whatever their score. Executed in the fast mode of the \
+                 sampled {0} drawn at random from all of them, whatever their score; a scene without any is a failure of \
+                 top-1. Executed in the fast mode of the \
                  simulator. Scenes in which {1} trials that know the joint do not succeed with a primitive do not \
                  count for it.",
                 config.proposals,
                 config.informed,
-                room = if config.clearance { " for which the depth map shows room" } else { "" },
+                room =
+                    if config.clearance { ", without hands that have no room by the depth map" } else { "" },
             ),
             without_scene,
             unfinished: config.scenes.saturating_sub(done),
