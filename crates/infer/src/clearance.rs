@@ -9,18 +9,26 @@ pub(crate) const REACH: f32 = 0.206;
 /// How far inside the hand a point must be, metres: depth cameras are no more exact than that.
 const MARGIN: f32 = 0.002;
 /// Points inside the hand that are more than a flying pixel.
-const ENOUGH: usize = 2;
+const ENOUGH: u32 = 2;
+
+/// Points that are compared at a time.
+const BLOCK: usize = 128;
 
 /// What is seen around a contact point.
 pub(crate) struct Room {
-    /// Points less than [`REACH`] away, as offsets from the contact point in the camera frame, metres.
-    offsets: Vec<Vector3<f32>>,
+    /// Points less than [`REACH`] away, as offsets from the contact point in the camera frame, metres: all x, all y, all z.
+    offsets: [Vec<f32>; 3],
 }
 
 impl Room {
     pub(crate) fn new(obstacles: impl Iterator<Item = Point3<f32>>, contact: &Point3<f32>) -> Self {
-        let offsets = obstacles.map(|point| point - contact);
-        Self { offsets: offsets.filter(|offset| offset.norm_squared() < REACH * REACH).collect() }
+        let mut offsets = [const { Vec::new() }; 3];
+        for offset in
+            obstacles.map(|point| point - contact).filter(|offset| offset.norm_squared() < REACH * REACH)
+        {
+            offsets.iter_mut().zip(offset.iter()).for_each(|(all, one)| all.push(*one));
+        }
+        Self { offsets }
     }
 
     /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm when the finger
@@ -31,35 +39,44 @@ impl Room {
             FingerState::Open => GRIPPER.finger_travel,
             FingerState::Closed => 0.0,
         };
-        let in_the_way = self.offsets.iter().filter(|offset| {
-            let from_contact = rotation.inverse_transform_vector(offset);
-            let at = |distance: f32| from_contact + Vector3::z() * distance;
-            let start = at(Primitive::START_DISTANCE);
-            in_palm(&start) || in_fingers(&start, opening) || in_palm(&at(GRIPPER.tip))
-        });
-        in_the_way.take(ENOUGH).count() < ENOUGH
+        let [xs, ys, zs] = &self.offsets;
+        let mut inside = 0;
+        // Block by block, so that a crowded place is known early and the compiler makes vectors of the rest.
+        for ((xs, ys), zs) in xs.chunks(BLOCK).zip(ys.chunks(BLOCK)).zip(zs.chunks(BLOCK)) {
+            for ((x, y), z) in xs.iter().zip(ys).zip(zs) {
+                let point = rotation.inverse_transform_vector(&Vector3::new(*x, *y, *z));
+                let at = |distance: f32| [point.x, point.y, point.z + distance];
+                let start = at(Primitive::START_DISTANCE);
+                inside += u32::from(in_palm(start) | in_fingers(start, opening) | in_palm(at(GRIPPER.tip)));
+            }
+            if inside >= ENOUGH {
+                return false;
+            }
+        }
+        true
     }
 }
 
 /// Whether a point of the hand frame is inside the palm.
-fn in_palm(point: &Vector3<f32>) -> bool {
-    let corners = GRIPPER.hand_min.iter().zip(GRIPPER.hand_max);
-    point.iter().zip(corners).all(|(x, (low, high))| (low + MARGIN..high - MARGIN).contains(x))
+#[inline(always)]
+fn in_palm([x, y, z]: [f32; 3]) -> bool {
+    let ([x0, y0, z0], [x1, y1, z1]) = (GRIPPER.hand_min, GRIPPER.hand_max);
+    let within = |x: f32, low: f32, high: f32| (x > low + MARGIN) & (x < high - MARGIN);
+    within(x, x0, x1) & within(y, y0, y1) & within(z, z0, z1)
 }
 
 /// Whether a point of the hand frame is inside one of the fingers, which are `opening` from where they meet.
-fn in_fingers(point: &Vector3<f32>, opening: f32) -> bool {
+#[inline(always)]
+fn in_fingers([x, y, z]: [f32; 3], opening: f32) -> bool {
     let ([_, _, bottom], [wide_x, wide_y, top]) = (GRIPPER.finger_min, GRIPPER.finger_max);
-    let z = point.z - GRIPPER.finger_offset;
+    let (z, y) = (z - GRIPPER.finger_offset, y.abs() - opening);
     // From the shoulder on they get narrower.
     let narrow = ((z - GRIPPER.finger_shoulder) / (top - GRIPPER.finger_shoulder)).clamp(0.0, 1.0);
-    let x = wide_x + narrow * (GRIPPER.finger_tip_x - wide_x);
-    let y = wide_y + narrow * (GRIPPER.finger_tip_y - wide_y);
+    let half = wide_x + narrow * (GRIPPER.finger_tip_x - wide_x);
+    let outer = wide_y + narrow * (GRIPPER.finger_tip_y - wide_y);
     // Where closed fingers meet they have no surface.
     let inner = if opening > 0.0 { MARGIN } else { 0.0 };
-    (bottom..top - MARGIN).contains(&z)
-        && point.x.abs() < x - MARGIN
-        && (inner..y - MARGIN).contains(&(point.y.abs() - opening))
+    (z > bottom) & (z < top - MARGIN) & (x.abs() < half - MARGIN) & (y >= inner) & (y < outer - MARGIN)
 }
 
 #[cfg(test)]
@@ -101,7 +118,7 @@ mod tests {
         let step = seen(0.0, 0.09, -0.06);
         assert!(!fits(&step, Pushing) && !fits(&step, Pulling) && fits(&seen(0.0, 0.09, -0.045), Pushing));
         // The surface itself, and what is out of reach.
-        assert!(fits(&seen(0.0, 0.05, 0.0), Pushing) && seen(0.0, 0.0, -0.3).offsets.len() == 1);
+        assert!(fits(&seen(0.0, 0.05, 0.0), Pushing) && seen(0.0, 0.0, -0.3).offsets[0].len() == 1);
     }
 
     #[test]

@@ -24,6 +24,9 @@ const POINT_DISTANCE: f32 = 0.06;
 const NORMAL_POINTS: usize = 16;
 const NORMAL_RADIUS: f32 = 0.15;
 
+/// Points of a scan, in random order as they are, that are looked at for what is in a hand's way: some hundreds around it.
+const OBSTACLES: usize = 8192;
+
 /// An observation, ready for the network.
 pub(crate) struct Prepared<'a> {
     pub(crate) input: NetworkInput,
@@ -151,7 +154,9 @@ impl<'a> Prepared<'a> {
         let contact = place.point?;
         match (self.depth, &self.surface) {
             (Some(depth), _) => Some(Room::new(depth.around_point(&contact, REACH).into_iter(), &contact)),
-            (None, Some(surface)) => Some(Room::new(surface.points().iter().copied(), &contact)),
+            (None, Some(surface)) => {
+                Some(Room::new(surface.points().iter().take(OBSTACLES).copied(), &contact))
+            }
             (None, None) => None,
         }
     }

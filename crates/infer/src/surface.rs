@@ -22,7 +22,7 @@ pub(crate) struct DepthView<'a> {
 /// hands that come from behind were found, at handles, and more others were taken for such.
 const PATCH: f32 = 0.014;
 /// Pixels to each side that are looked at in a piece of a depth map, at most about.
-const LOOKED_AT: i64 = 32;
+const LOOKED_AT: i64 = 16;
 
 impl DepthView<'_> {
     /// The depth map of an observation that has one, and its camera.
