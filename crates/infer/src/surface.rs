@@ -9,6 +9,11 @@ const MIN_POINTS: usize = 6;
 const SAME_SURFACE: f32 = 0.02;
 /// How far from a pixel without depth a contact point is looked for, pixels.
 const HOLE: i64 = 4;
+/// Half the side of the piece of surface whose normal is wanted, metres: 2 pixels in the published view. With 4, fewer of the
+/// hands that come from behind were found, at handles, and more others were taken for such.
+const PATCH: f32 = 0.014;
+/// Pixels to each side that are looked at for what is around a point: so many or, as steps are whole, up to twice as many.
+const LOOKED_AT: i64 = 16;
 
 /// A depth map with its camera.
 #[derive(Clone, Copy)]
@@ -17,12 +22,6 @@ pub(crate) struct DepthView<'a> {
     pub(crate) depth: &'a [f32],
     pub(crate) intrinsics: Intrinsics,
 }
-
-/// Half the side of the piece of surface whose normal is wanted, metres: 2 pixels in the published view. With 4, fewer of the
-/// hands that come from behind were found, at handles, and more others were taken for such.
-const PATCH: f32 = 0.014;
-/// Pixels to each side that are looked at in a piece of a depth map, at most about.
-const LOOKED_AT: i64 = 16;
 
 impl DepthView<'_> {
     /// The depth map of an observation that has one, and its camera.
