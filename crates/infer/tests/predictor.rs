@@ -223,12 +223,10 @@ fn hands_that_begin_in_what_is_seen_are_left_out() {
         let inside = |p: Point3<f32>| (0..3).all(|i| (low[i] + 0.002..high[i] - 0.002).contains(&p[i]));
         points.iter().filter(|(_, point)| inside(pose.transform_point(point))).count()
     };
-    let second_look = |modality| {
-        let config = ModelConfig { second_look: true, ..ModelConfig::new(modality, &Primitive::ALL) };
-        let network = Network::new(&config.with_points(1024), Seed(7), &burn::tensor::Device::flex());
-        Predictor::from_weights(Weights { network, sha256: "0".repeat(64) }, Backend::Fast).unwrap()
-    };
-    let predictors = [predictor(Modality::Rgb), predictor(Modality::Cloud), second_look(Modality::Cloud)];
+    let config = ModelConfig { second_look: true, ..ModelConfig::new(Modality::Cloud, &Primitive::ALL) };
+    let network = Network::new(&config.with_points(1024), Seed(7), &burn::tensor::Device::flex());
+    let looks_twice = Predictor::from_weights(Weights { network, sha256: "0".repeat(64) }, Backend::Fast);
+    let predictors = [predictor(Modality::Rgb), predictor(Modality::Cloud), looks_twice.unwrap()];
     for (i, predictor) in predictors.iter().enumerate() {
         let crowded = |clearance| {
             let options = Options { top_k: 3000, per_pixel: Some(100), clearance, ..Options::default() };

@@ -25,9 +25,9 @@ Scores rank proposals: higher is better. A score is not the share of tries that 
 Directions and poses are in the camera's optical frame: x right, y down, z forward, metres. The hand's z axis is
 the approach, its x axis is forward. Without depth there are directions, but no points and poses.
 
-With --depth, the picture decides and the depth gives points in metres. A depth map or scan alone is centred and, if
-its object is smaller or larger than those seen in training, scaled for the network; --object-scale or --keep-scale
-overrule that. Points come back in the input's metres; the hand keeps its real size.";
+With --depth, the picture decides; the depth gives points in metres and leaves out hands without room. A depth map or
+scan alone is centred and, if its object is smaller or larger than those seen in training, scaled for the network;
+--object-scale or --keep-scale overrule that. Points come back in the input's metres; the hand keeps its real size.";
 
 /// Says what a gripper can do with what is seen, where, how, and what to try first.
 #[derive(Debug, Parser)]
