@@ -72,6 +72,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
         from: None,
         replay: vec![],
         encoder: None,
+        teacher: None,
         network: NetworkConfig {
             modality,
             primitives: PRIMITIVES.to_vec(),

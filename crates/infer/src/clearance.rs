@@ -1,5 +1,5 @@
 //! Whether the hand has room: nothing that is seen may be where palm and fingers are at the start, nor where the palm is until
-//! the finger tips touch. (The simulator's `Clearance` asks the object itself, of which a camera sees half.)
+//! the finger tips touch, nor where the fingers are when they close to pull. (The simulator's `Clearance` asks the object itself, of which a camera sees half.)
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::{FingerState, GRIPPER, Primitive};
@@ -33,12 +33,14 @@ impl Room {
 
     /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm when the finger
     /// tips touch, because a push must not begin with it, and a grip would not get that far. Between the two the palm moves
-    /// by less than half its depth.
+    /// by less than half its depth. Pulling needs fingers on both sides of something, or there is nothing to hold; the pulls
+    /// that move sideways succeed as often with fingers that only press.
     pub(crate) fn fits(&self, primitive: Primitive, rotation: &Rotation3<f32>) -> bool {
         let opening = match primitive.fingers() {
             FingerState::Open => GRIPPER.finger_travel,
             FingerState::Closed => 0.0,
         };
+        let grips = primitive == Primitive::Pulling;
         let [xs, ys, zs] = &self.offsets;
         let mut inside = 0;
         // Block by block, so that a crowded place is known early and the compiler makes vectors of the rest.
@@ -47,7 +49,9 @@ impl Room {
                 let point = rotation.inverse_transform_vector(&Vector3::new(*x, *y, *z));
                 let at = |distance: f32| [point.x, point.y, point.z + distance];
                 let start = at(Primitive::START_DISTANCE);
-                inside += u32::from(in_palm(start) | in_fingers(start, opening) | in_palm(at(GRIPPER.tip)));
+                let before = in_palm(start) | in_fingers(start, opening) | in_palm(at(GRIPPER.tip));
+                let gripping = grips & in_fingers(at(primitive.contact_distance()), opening);
+                inside += u32::from(before | gripping);
             }
             if inside >= ENOUGH {
                 return false;
@@ -97,7 +101,7 @@ mod tests {
 
     #[test]
     fn what_stands_before_the_surface_meets_palm_or_fingers() {
-        use Primitive::{Pulling, Pushing};
+        use Primitive::{Pulling, PullingLeft, PullingUp, Pushing};
         let fits = |room: &Room, primitive| room.fits(primitive, &straight());
         // Right where the palm begins, and a flying pixel there.
         assert!(!fits(&seen(0.0, 0.09, -0.1), Pushing) && !fits(&seen(0.0, 0.09, -0.1), Pulling));
@@ -113,10 +117,14 @@ mod tests {
         assert!(fits(&seen(0.0, 0.045, -0.045), Pushing) && !fits(&seen(0.0, 0.045, -0.045), Pulling));
         // A finger is narrower at its tip than behind it.
         let (at_tip, behind) = (seen(0.0, 0.055, -0.04), seen(0.0, 0.055, -0.0465));
-        assert!(fits(&at_tip, Pulling) && !fits(&behind, Pulling));
+        assert!(fits(&at_tip, PullingUp) && !fits(&behind, PullingUp));
         // Before the palm, which gets there before the finger tips touch.
         let step = seen(0.0, 0.09, -0.06);
         assert!(!fits(&step, Pushing) && !fits(&step, Pulling) && fits(&seen(0.0, 0.09, -0.045), Pushing));
+        // A wide surface is in the way of fingers that would close behind it, one between them is what they hold.
+        let (wide, handle) = (seen(0.0, 0.045, 0.0), seen(0.0, 0.03, 0.0));
+        assert!(!fits(&wide, Pulling) && fits(&wide, PullingUp) && fits(&wide, PullingLeft));
+        assert!(fits(&handle, Pulling) && fits(&seen(0.0, 0.045, 0.013), Pulling));
         // The surface itself, and what is out of reach.
         assert!(fits(&seen(0.0, 0.05, 0.0), Pushing) && seen(0.0, 0.0, -0.3).offsets[0].len() == 1);
     }

@@ -19,6 +19,7 @@ use crate::questions::{self, Ground, Question};
 use crate::replay::Replay;
 use crate::sensor;
 use crate::step::Phase;
+use crate::teacher::{Desk, Lesson, Teacher, join};
 
 /// What the network is shown and asked.
 #[derive(Clone, Debug)]
@@ -64,6 +65,8 @@ pub struct Queries {
     pub ways: Vec<Option<Ways>>,
     /// Normal of the surface at each place, camera frame, for trials and places; `None` at edges and beside the object.
     pub normals: Vec<Option<Vector3<f32>>>,
+    /// What the teacher says of some of the places; empty without one.
+    pub lesson: Lesson,
 }
 
 impl Queries {
@@ -71,16 +74,6 @@ impl Queries {
     #[must_use]
     pub fn trials(&self) -> usize {
         self.labels.len()
-    }
-
-    fn look(&mut self, views: Vec<Grouping>) {
-        if self.hand_views.is_empty() {
-            self.hand_views = views;
-            return;
-        }
-        for (all, view) in self.hand_views.iter_mut().zip(views) {
-            all.offsets.extend(view.offsets);
-        }
     }
 
     fn see(&mut self, seen: &[Seen]) {
@@ -100,6 +93,8 @@ struct View {
     places: Vec<(usize, usize)>,
     /// What is seen at the trials, then at the places.
     seen: Vec<Seen>,
+    /// What the teacher sees; its places count trials first.
+    desk: Option<Desk>,
 }
 
 /// What the scene knows of a place: the ways it can go and its normal.
@@ -126,6 +121,8 @@ pub struct Source {
     pub config: BatchConfig,
     /// The run's seed.
     pub seed: Seed,
+    /// Who says more about the scenes than their trials do.
+    pub teacher: Option<Arc<Teacher>>,
 }
 
 impl Source {
@@ -146,7 +143,7 @@ impl Source {
             let newer = replay.scenes();
             scenes.iter().copied().filter(|id| dataset.is_tried(*id) || newer.contains(id)).collect()
         };
-        Self { dataset, scenes, replay, model, config: batch, seed }
+        Self { dataset, scenes, replay, model, config: batch, seed, teacher: None }
     }
 
     /// Scenes of a step: every scene comes once before any comes again, in an order that changes every time.
@@ -179,7 +176,26 @@ impl Source {
             .enumerate()
             .map(|(i, id)| self.view(id, &mut seed.child("view", i as u64).rng()))
             .collect::<Result<_, _>>()?;
-        Ok(assemble(views, &self.model))
+        let mut views = views;
+        let desks: Vec<Option<Desk>> = views.iter_mut().map(|view| view.desk.take()).collect();
+        let before: Vec<[usize; 2]> =
+            views.iter().map(|view| [view.trials.len(), view.places.len()]).collect();
+        let mut batch = assemble(views, &self.model);
+        if let Some(teacher) = &self.teacher {
+            let trials = batch.queries.trials();
+            let mut rows = Vec::new();
+            let (mut first_trial, mut first_place) = (0, trials);
+            for (desk, [n, places]) in desks.iter().zip(before) {
+                let row = |place: &usize| {
+                    if *place < n { first_trial + place } else { first_place + place - n }
+                };
+                rows.extend(desk.iter().flat_map(|desk| &desk.places).map(row));
+                (first_trial, first_place) = (first_trial + n, first_place + places);
+            }
+            let desks = desks.into_iter().flatten().collect();
+            batch.queries.lesson = teacher.lesson(desks, rows, &mut seed.child("teacher", 0).rng());
+        }
+        Ok(batch)
     }
 
     fn view(&self, id: SceneId, rng: &mut ChaCha8Rng) -> Result<View, DataError> {
@@ -210,13 +226,15 @@ impl Source {
             Modality::Rgb => image_view(&shard.rgb(id.scene), &questions, &places, mirrored, &self.model),
             Modality::Cloud => cloud_view(&foreground, &questions, &places, mirrored, &self.model, rng),
         };
-        let mut view = view.map_err(|source| DataError::View {
-            path: shard.path().to_owned(),
-            scene: id.scene,
-            source,
-        })?;
+        let fail = |source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source };
+        let mut view = view.map_err(fail)?;
         let pixels = questions.iter().map(|q| q.pixel).chain(places.iter().map(|(pixel, _)| *pixel));
-        view.seen = seen_at(shard, id.scene, pixels, mirrored);
+        let pixels: Vec<Pixel> = pixels.collect();
+        view.seen = seen_at(shard, id.scene, pixels.iter().copied(), mirrored);
+        if let Some(teacher) = &self.teacher {
+            let desk = desk(teacher, shard, id.scene, &pixels, questions.len(), mirrored, rng);
+            view.desk = Some(desk.map_err(fail)?);
+        }
         Ok(view)
     }
 }
@@ -241,6 +259,34 @@ fn seen_at(shard: &Shard, scene: usize, pixels: impl Iterator<Item = Pixel>, mir
         (ways(pixel).map(|ways| ways.map(turned)), normal.map(turned))
     };
     pixels.map(seen).collect()
+}
+
+/// The scan that the teacher sees of a view, and the places it talks about: a third of them those of trials, because these
+/// are where networks think that something moves, the others on parts that move.
+fn desk(
+    teacher: &Teacher,
+    shard: &Shard,
+    scene: usize,
+    pixels: &[Pixel],
+    trials: usize,
+    mirrored: bool,
+    rng: &mut ChaCha8Rng,
+) -> Result<Desk, PreprocessError> {
+    let (foreground, link) = (shard.foreground(scene), shard.link(scene));
+    let seen = |point: Point3<f32>| if mirrored { Point3::new(-point.x, point.y, point.z) } else { point };
+    let (mut of_trials, mut of_parts): (Vec<usize>, Vec<usize>) = (0..pixels.len())
+        .filter(|i| link[ImageSize::square(DEPTH_SIDE).index(pixels[*i])] > 1)
+        .partition(|i| *i < trials);
+    of_trials.shuffle(rng);
+    of_trials.truncate(teacher.places() / 3);
+    of_parts.truncate(teacher.places() - of_trials.len());
+    let asked: Vec<(usize, Point3<f32>)> = of_trials
+        .into_iter()
+        .chain(of_parts)
+        .filter_map(|i| Some((i, seen(point_of(&foreground, pixels[i])?))))
+        .collect();
+    let points: Vec<_> = foreground.into_iter().map(|(_, point)| seen(point)).collect();
+    teacher.desk(&points, &asked, rng)
 }
 
 /// Pixel of the stored picture that shows a pixel of the stored depth map.
@@ -270,6 +316,7 @@ fn image_view(
         hand_views: Vec::new(),
         places: places.iter().map(|(pixel, output)| (place(*pixel), *output)).collect(),
         seen: Vec::new(),
+        desk: None,
         input: ViewInput::Image(input.values),
     })
 }
@@ -306,13 +353,14 @@ fn cloud_view(
         trials: questions.iter().enumerate().map(|(i, q)| (i, q.output, q.orientation, q.success)).collect(),
         places: places.iter().enumerate().map(|(i, (_, output))| (n + i, *output)).collect(),
         seen: Vec::new(),
+        desk: None,
     })
 }
 
 fn assemble(mut views: Vec<View>, model: &ModelConfig) -> Batch {
     let mut queries = Queries::default();
     for (v, view) in views.iter_mut().enumerate() {
-        queries.look(std::mem::take(&mut view.hand_views));
+        join(&mut queries.hand_views, std::mem::take(&mut view.hand_views));
         for (place, output, orientation, success) in &view.trials {
             queries.places.push((v, *place));
             queries.outputs.push(*output);

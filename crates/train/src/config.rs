@@ -41,6 +41,9 @@ pub struct TrainConfig {
     /// Weights of the losses.
     #[serde(default)]
     pub loss: LossConfig,
+    /// A trained network for scans that says how likely hands are to succeed, for a network for pictures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub teacher: Option<TeacherConfig>,
     /// New trials where the network is confident.
     #[serde(default)]
     pub adaptive: AdaptiveConfig,
@@ -105,7 +108,7 @@ pub struct BatchConfig {
     /// Free negatives per trial: the same trial with the approach flipped cannot succeed. The paper adds one each.
     pub flipped: f32,
     /// Free negatives per trial: the same orientation at a random place of a part that does not move or, in pictures, of the
-    /// background, half of them right beside an outline. 0 leaves such places out altogether, as the paper does.
+    /// background, a third of them right beside an outline. 0 leaves such places out altogether, as the paper does.
     pub fixed: f32,
     /// Share of the views that are shown mirrored.
     pub mirrored: f32,
@@ -184,6 +187,32 @@ pub struct LossConfig {
     pub motion: f32,
     /// Squared error of the surface's normal that the network's features tell. 0 = not asked (the paper).
     pub normal: f32,
+}
+
+/// Who teaches a network for pictures, and how much.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TeacherConfig {
+    /// Folder of the weights of a network for scans with the same primitives, e.g. `weights/cloud`.
+    pub weights: PathBuf,
+    /// Places of a view that it talks about in the steps with trials: of trials, and of parts that move.
+    #[serde(default = "taught_places")]
+    pub places: usize,
+    /// Weight of the loss: divergence of the score from what the teacher says.
+    #[serde(default = "one")]
+    pub weight: f32,
+}
+
+impl TeacherConfig {
+    /// Everything but the folder as it is by default.
+    #[must_use]
+    pub fn new(weights: PathBuf) -> Self {
+        Self { weights, places: taught_places(), weight: one() }
+    }
+}
+
+fn taught_places() -> usize {
+    64
 }
 
 /// New trials where the network is confident, between epochs.
@@ -438,6 +467,14 @@ impl TrainConfig {
             let of_pictures = modality == Modality::Rgb;
             check(of_pictures, "network.modality", "cloud".to_owned(), "rgb, as encoder is a ResNet-18")?;
             check(width == 1.0, "network.width", width.to_string(), "1, as encoder is a ResNet-18")?;
+        }
+        if let Some(TeacherConfig { weights, places, weight }) = &self.teacher {
+            let (folder, of_pictures) =
+                (weights.display().to_string(), self.network.modality == Modality::Rgb);
+            check(of_pictures, "teacher.weights", folder, "none, as only pictures are taught")?;
+            check((1..=10_000).contains(places), "teacher.places", places.to_string(), "1 to 10000")?;
+            let is_weight = *weight >= 0.0 && weight.is_finite();
+            check(is_weight, "teacher.weight", weight.to_string(), "0 or more")?;
         }
         check((1..=1024).contains(&batch.views), "batch.views", batch.views.to_string(), "1 to 1024")?;
         let trials = batch.trials_per_view;

@@ -26,11 +26,12 @@ mod sensor;
 mod split;
 mod start;
 pub mod step;
+pub mod teacher;
 mod validate;
 
 pub use config::{
     AdaptiveConfig, BatchConfig, CollectConfig, ConfigError, Decay, LossConfig, NetworkConfig, Optimiser,
-    ScheduleConfig, TrainConfig,
+    ScheduleConfig, TeacherConfig, TrainConfig,
 };
 pub use dataset::{Counts, DataError, Dataset, Folder, SceneId};
 pub use replay::Replay;

@@ -104,10 +104,10 @@ impl Ground {
         any(part?, rng)
     }
 
-    /// A pixel where nothing moves; each kind as likely, however large it is, and half of them beside an outline.
+    /// A pixel where nothing moves; each kind as likely, however large it is, and a third of them beside an outline.
     fn still(&self, rng: &mut ChaCha8Rng) -> Option<Pixel> {
         let first = usize::from(rng.random::<bool>());
-        let beside = rng.random::<bool>();
+        let beside = rng.random_ratio(1, 3);
         let of = |still: &Still, rng: &mut ChaCha8Rng| {
             let near = if beside { any(&still.beside, rng) } else { None };
             near.or_else(|| any(&still.all, rng))

@@ -25,6 +25,7 @@ use crate::replay::Replay;
 use crate::split::Part;
 use crate::start::{first_trials, first_weights, manifests, optimiser, with_scan_radius};
 use crate::step::{Losses, Phase, forward};
+use crate::teacher::Teacher;
 use crate::validate::{Validation, validate};
 
 /// Why a run stopped before its end.
@@ -82,6 +83,12 @@ pub enum TrainError {
         /// The weights' folder.
         path: PathBuf,
     },
+    /// The teacher cannot teach this network.
+    #[error("{}: this network cannot teach, expected one for scans with the configuration's primitives", path.display())]
+    OtherTeacher {
+        /// The weights' folder.
+        path: PathBuf,
+    },
     /// The loss is not a number any more, or far too large, or a weight is no number.
     #[error(
         "step {step}: the loss is {loss}; start another run with a smaller schedule.rate; last good checkpoint: {}",
@@ -133,6 +140,9 @@ pub struct StepReport {
     pub motion: Option<f32>,
     /// Squared error of the normals.
     pub normal: Option<f32>,
+    /// Divergence of the score from what the teacher says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub taught: Option<f32>,
     /// Learning rate.
     pub rate: f64,
     /// Seconds by stage.
@@ -253,8 +263,10 @@ pub fn train<'a>(
         });
     }
     forget_metrics_after(&out.join(files::METRICS), state.progress.step)?;
+    let load = |teacher| Teacher::load(teacher, config, device).map(Arc::new);
     let mut run = Run {
         config,
+        teacher: config.teacher.as_ref().map(load).transpose()?,
         dataset,
         train_scenes,
         validation_scenes,
@@ -269,6 +281,7 @@ pub fn train<'a>(
 
 struct Run<'a> {
     config: &'a TrainConfig,
+    teacher: Option<Arc<Teacher>>,
     dataset: Arc<Dataset>,
     train_scenes: Arc<[SceneId]>,
     validation_scenes: Vec<SceneId>,
@@ -318,7 +331,8 @@ impl Run<'_> {
     fn steps_of_a_phase(&mut self, end: usize) -> Result<(), TrainError> {
         let replay = Arc::new(self.state.replay.clone());
         let phase = self.config.phase(self.state.progress.step);
-        let source = Source::new(self.dataset.clone(), &self.train_scenes, replay, self.config, phase);
+        let mut source = Source::new(self.dataset.clone(), &self.train_scenes, replay, self.config, phase);
+        source.teacher = self.teacher.clone().filter(|_| phase != Phase::Look);
         let first = self.state.progress.step;
         std::thread::scope(|scope| {
             let (send, receive) = sync_channel(AHEAD);
@@ -356,7 +370,7 @@ impl Run<'_> {
         let mut watch = Instant::now();
         let mut lap = || std::mem::replace(&mut watch, Instant::now()).elapsed().as_secs_f64();
         let losses = forward(&self.state.learner, batch, phase, &self.config.loss, &mut rng);
-        let total = losses.total(&self.config.loss);
+        let total = losses.total(self.config);
         let loss = number(&total);
         secs.forward = lap();
         if !loss.is_finite() || loss > EXPLODED {
@@ -497,6 +511,7 @@ fn report(
         actionability: read(&losses.actionability),
         motion: read(&losses.motion),
         normal: read(&losses.normal),
+        taught: read(&losses.taught),
         rate,
         secs,
     }

@@ -11,7 +11,7 @@ use where2act_model::losses::{
 use where2act_model::{Choice, Heads, Input, Network, SecondLook, to_axes};
 
 use crate::batch::{Batch, BatchInput, Queries};
-use crate::config::LossConfig;
+use crate::config::{LossConfig, TrainConfig};
 use crate::probes::{Learner, Ways, difference};
 
 /// Losses of a step before they are weighted. They stay tensors until somebody wants to read them.
@@ -31,12 +31,15 @@ pub struct Losses {
     pub motion: Option<Tensor<1>>,
     /// Squared error of the normals; `None` if they are not asked.
     pub normal: Option<Tensor<1>>,
+    /// Divergence of the score from what the teacher says; `None` if there is none.
+    pub taught: Option<Tensor<1>>,
 }
 
 impl Losses {
     /// The weighted sum that is minimised.
     #[must_use]
-    pub fn total(&self, weights: &LossConfig) -> Tensor<1> {
+    pub fn total(&self, config: &TrainConfig) -> Tensor<1> {
+        let weights = &config.loss;
         let all = [
             (&self.score, weights.score),
             (&self.second, weights.score),
@@ -45,6 +48,7 @@ impl Losses {
             (&self.actionability, weights.actionability),
             (&self.motion, weights.motion),
             (&self.normal, weights.normal),
+            (&self.taught, config.teacher.as_ref().map_or(0.0, |teacher| teacher.weight)),
         ];
         let weighted = all.into_iter().filter_map(|(loss, weight)| Some(loss.clone()? * weight));
         weighted.reduce(|sum, loss| sum + loss).unwrap_or_else(|| Tensor::zeros([1], &Device::default()))
@@ -112,6 +116,8 @@ pub fn forward(
     let score = Some(wrong(network.heads.score.forward_hands(of_trials.clone(), hands.clone())));
     let look = |look: &SecondLook| wrong(look.forward(of_trials.clone(), hands.clone(), &queries.hand_views));
     let second = network.heads.second_look.as_ref().map(look);
+    let taught = queries.lesson.difference(&network.heads, &features);
+    let seen = Losses { taught, ..seen };
     if phase == Phase::Score {
         return Losses { score, second, ..seen };
     }

@@ -8,11 +8,14 @@ use burn::module::{Module, ModuleVisitor, Param};
 use burn::optim::{GradientsParams, SgdConfig};
 use burn::tensor::{Device, Tensor};
 use where2act_core::{Primitive, Seed};
-use where2act_model::{Backbone, Modality, Network};
+use where2act_model::{Backbone, Modality, Network, Precision, save_weights};
 use where2act_train::batch::{Batch, Source};
-use where2act_train::probes::Learner;
+use where2act_train::probes::{Learner, Ways};
 use where2act_train::step::{Phase, forward};
-use where2act_train::{BatchConfig, Dataset, LossConfig, NetworkConfig, Part, ScheduleConfig, TrainConfig};
+use where2act_train::teacher::{Lesson, Teacher};
+use where2act_train::{
+    BatchConfig, Dataset, LossConfig, NetworkConfig, Part, ScheduleConfig, TeacherConfig, TrainConfig,
+};
 
 fn config(modality: Modality) -> TrainConfig {
     TrainConfig {
@@ -21,6 +24,7 @@ fn config(modality: Modality) -> TrainConfig {
         from: None,
         replay: vec![],
         encoder: None,
+        teacher: None,
         network: NetworkConfig {
             modality,
             primitives: vec![Primitive::Pulling, Primitive::Pushing],
@@ -81,12 +85,13 @@ fn check<M: Module>(
     name: &str,
     learner: &Learner,
     batch: &Batch,
-    loss: &LossConfig,
+    config: &TrainConfig,
     part: impl Fn(&Learner) -> &M,
 ) {
     // The same noise every time.
-    let total =
-        |learner: &Learner| forward(learner, batch, Phase::Joint, loss, &mut Seed(9).rng()).total(loss);
+    let total = |learner: &Learner| {
+        forward(learner, batch, Phase::Joint, &config.loss, &mut Seed(9).rng()).total(config)
+    };
     let of_part = || GradientsParams::from_grads(total(learner).backward(), part(learner));
     let squared = squared_norm(part(learner), &of_part());
     assert!(squared > 1e-8, "{name}: no gradient");
@@ -108,14 +113,31 @@ fn the_gradient_of_a_step_is_how_its_loss_changes() {
     boards::write(folder.path(), 0..16);
     let dataset = Arc::new(Dataset::open(folder.path(), false).unwrap());
     let scenes = dataset.scenes(Part::Train).unwrap();
+    let teacher = folder.path().join("teacher");
+    let for_scans = Network::new(&config(Modality::Cloud).model(), Seed(8), &Device::flex());
+    save_weights(&teacher, &for_scans, "", Precision::F32).unwrap();
     for modality in [Modality::Cloud, Modality::Rgb] {
-        let config = config(modality);
-        let source = Source::new(dataset.clone(), &scenes, Arc::default(), &config, Phase::Joint);
+        let mut config = config(modality);
+        let mut source = Source::new(dataset.clone(), &scenes, Arc::default(), &config, Phase::Joint);
+        if modality == Modality::Rgb {
+            let named = config.teacher.insert(TeacherConfig::new(teacher.clone())).clone();
+            source.teacher = Some(Arc::new(Teacher::load(&named, &config, &Device::flex()).unwrap()));
+        }
         let batch = source.batch(0).unwrap();
+        // As many hands at each place as there are primitives, all on parts that move.
+        let Lesson { rows, orientations, logits } = &batch.queries.lesson;
+        assert_eq!(rows.is_empty(), modality == Modality::Cloud);
+        assert!(orientations.len() == 2 * rows.len() && logits.len() == 4 * rows.len());
+        let moves = |row: &usize| batch.queries.ways[*row].is_some_and(|ways| ways != Ways::default());
+        let (of_trials, of_places): (Vec<usize>, Vec<usize>) =
+            rows.iter().partition(|row| **row < batch.queries.trials());
+        assert!(rows.iter().all(moves));
+        assert_eq!(of_trials.is_empty() || of_places.is_empty(), modality == Modality::Cloud);
         let network = Network::new(&config.model(), Seed(4), &Device::flex().autodiff());
         let learner = Learner::new(network, &config.loss, Seed(4));
         // The target of the actionability stands still in the gradient, and moves with all but its own head.
-        let still = LossConfig { actionability: 0.0, ..config.loss.clone() };
+        let mut still = config.clone();
+        still.loss.actionability = 0.0;
         let name = |part: &str| format!("{modality:?}, {part}");
         match &learner.network.backbone {
             Backbone::UNet(_) => check(&name("U-Net"), &learner, &batch, &still, |l| &l.network.backbone),
@@ -128,6 +150,6 @@ fn the_gradient_of_a_step_is_how_its_loss_changes() {
         check(&name("proposal"), &learner, &batch, &still, |l| &l.network.heads.proposal);
         check(&name("motion"), &learner, &batch, &still, |l| &l.network.heads.motion);
         check(&name("normal"), &learner, &batch, &still, |l| &l.normal);
-        check(&name("actionability"), &learner, &batch, &config.loss, |l| &l.network.heads.actionability);
+        check(&name("actionability"), &learner, &batch, &config, |l| &l.network.heads.actionability);
     }
 }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use burn::tensor::Device;
 use where2act_core::shard::Manifest;
 use where2act_core::{Primitive, Seed};
-use where2act_model::{Modality, Network, Precision, Tensors, Weights};
+use where2act_model::{Modality, Network, Precision, Tensors, Weights, save_weights};
 use where2act_train::batch::Source;
 use where2act_train::checkpoint;
 use where2act_train::probes::Learner;
@@ -17,7 +17,7 @@ use where2act_train::run::{Control, Outcome, TrainError, files, train};
 use where2act_train::step::Phase;
 use where2act_train::{
     BatchConfig, CollectConfig, DataError, Dataset, Decay, LossConfig, NetworkConfig, Optimiser, Part,
-    Replay, ScheduleConfig, TrainConfig,
+    Replay, ScheduleConfig, TeacherConfig, TrainConfig,
 };
 
 fn data(folder: &Path, scenes: u64) -> Arc<Dataset> {
@@ -32,6 +32,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
         from: None,
         replay: vec![],
         encoder: None,
+        teacher: None,
         network: NetworkConfig {
             modality: Modality::Cloud,
             primitives: vec![Primitive::Pushing],
@@ -199,6 +200,44 @@ fn a_run_may_start_from_weights() {
     other.network.hidden = 48;
     let error = train_for(&other, &data, &folder.path().join("other"), 1).unwrap_err();
     assert!(matches!(&error, TrainError::OtherNetwork { path } if *path == weights), "{error}");
+}
+
+#[test]
+fn a_network_for_pictures_learns_from_one_for_scans() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 16);
+    let teacher = |config: &TrainConfig, name: &str| {
+        let weights = folder.path().join(name);
+        let network = Network::new(&config.model(), Seed(1), &Device::flex());
+        save_weights(&weights, &network, "", Precision::F32).unwrap();
+        Some(TeacherConfig { weights, places: 24, weight: 1.0 })
+    };
+    let mut config = config(0, 30);
+    config.teacher = teacher(&config, "teacher");
+    config.network.modality = Modality::Rgb;
+    config.network.width = 0.125;
+    (config.network.second_look, config.batch.measured) = (false, 0.0);
+    // Without trials' own losses the lesson is all there is to learn.
+    config.loss = LossConfig { score: 0.0, geodesic: 0.0, kl: 0.0, actionability: 0.0, ..config.loss };
+    config.loss.motion = 0.0;
+    let (_, losses) = train_for(&config, &data, &folder.path().join("run"), usize::MAX).unwrap();
+    let mean = |losses: &[f32]| losses.iter().sum::<f32>() / losses.len() as f32;
+    let (first, last) = (mean(&losses[..5]), mean(&losses[25..]));
+    assert!(losses.iter().all(|loss| *loss > 0.0) && last < 0.8 * first, "{losses:?}");
+
+    // A teacher for other primitives, and a network for scans that has one.
+    let mut other = config.clone();
+    other.network.primitives = vec![Primitive::Pulling];
+    other.network.modality = Modality::Cloud;
+    config.teacher = teacher(&other, "other-teacher");
+    let error = train_for(&config, &data, &folder.path().join("other"), 1).unwrap_err();
+    assert!(
+        matches!(&error, TrainError::OtherTeacher { path } if path.ends_with("other-teacher")),
+        "{error}"
+    );
+    config.network.modality = Modality::Cloud;
+    let error = train_for(&config, &data, &folder.path().join("scans"), 1).unwrap_err();
+    assert!(error.to_string().contains("teacher.weights"), "{error}");
 }
 
 #[test]

@@ -18,7 +18,8 @@ use where2act_model::{Modality, Summary, Tensors, Weights};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::evaluate::EvaluateConfig;
 use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
-use where2act_train::{CollectConfig, Dataset, TrainConfig, adaptive, checkpoint};
+use where2act_train::teacher::Teacher;
+use where2act_train::{CollectConfig, Dataset, TeacherConfig, TrainConfig, adaptive, checkpoint};
 
 use shared::Work;
 
@@ -73,6 +74,10 @@ struct Args {
     /// ResNet-18 under torchvision's names (.pth or .safetensors) to start the encoder from: pictures, width 1.
     #[arg(long, value_name = "FILE", conflicts_with = "from")]
     encoder: Option<PathBuf>,
+    /// Weights of a network for scans that says how likely hands are to succeed, e.g. weights/cloud, to learn from beside
+    /// trials: for pictures.
+    #[arg(long, value_name = "WEIGHTS")]
+    teacher: Option<PathBuf>,
     /// Other numbers of steps with trials than the configuration's: all of them, a quarter for the score alone.
     #[arg(long)]
     steps: Option<usize>,
@@ -211,6 +216,10 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
     if let Some(encoder) = &args.encoder {
         config.encoder = Some(encoder.clone());
     }
+    if let Some(weights) = &args.teacher {
+        let named = || TeacherConfig::new(weights.clone());
+        config.teacher.get_or_insert_with(named).weights.clone_from(weights);
+    }
     if let Some(steps) = args.steps {
         config.schedule.score_steps = steps / 4;
         config.schedule.joint_steps = steps - steps / 4;
@@ -240,6 +249,9 @@ fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
     }
     if let Some(encoder) = &config.encoder {
         Tensors::read(encoder).context("--encoder")?;
+    }
+    if let Some(teacher) = &config.teacher {
+        Teacher::load(teacher, config, &Device::flex()).context("--teacher")?;
     }
     for run in &config.replay {
         if checkpoint::list(&run.join(files::CHECKPOINTS))?.is_empty() {
@@ -343,6 +355,7 @@ fn show(report: &StepReport) -> String {
         ("actionability", report.actionability),
         ("motion", report.motion),
         ("normal", report.normal),
+        ("taught", report.taught),
     ] {
         if let Some(value) = value {
             text += &format!(", {name} {value:.3}");
