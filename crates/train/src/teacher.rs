@@ -20,6 +20,9 @@ use crate::run::TrainError;
 /// network that knows less does propose.
 const TURN: f32 = 1.2;
 
+/// Farthest that logits are moved.
+const FURTHEST: f32 = 20.0;
+
 /// A trained network for scans.
 #[derive(Clone, Debug)]
 pub struct Teacher {
@@ -137,8 +140,8 @@ impl Teacher {
 
 impl Lesson {
     /// How much the scores of a network differ from the lesson: the mean divergence (Kullback and Leibler) of the chances
-    /// that they mean, with the network's logits moved by one number for each primitive. Only how hands compare is taught: how often hands succeed is another thing among the
-    /// trials that the network learns from at the same time.
+    /// that they mean, with the network's logits moved by one number for each primitive. Only how hands compare is taught:
+    /// how often hands succeed is another thing among the trials that the network learns from at the same time.
     ///
     /// # Shapes
     /// features at all places of the batch, `[places, features]` -> `[1]`; `None` without a lesson
@@ -152,7 +155,8 @@ impl Lesson {
         let thought = scores(heads, features.clone().select(0, rows), Tensor::from_data(axes, &device));
         let taught = TensorData::new(self.logits.clone(), [n * each, primitives]);
         let taught = Tensor::<2>::from_data(taught, &device);
-        let apart = (taught.clone() - thought.clone().detach()).mean_dim(0);
+        let apart = apart(&floats(thought.clone().detach()), &self.logits, primitives);
+        let apart = Tensor::<2>::from_data(TensorData::new(apart, [1, primitives]), &device);
         let flat = |all: Tensor<2>| all.reshape([n * each * primitives]);
         let (thought, taught) = (flat(thought + apart), flat(taught));
         let chances = sigmoid(taught.clone());
@@ -181,6 +185,26 @@ fn evened(logits: Tensor<2>) -> Tensor<2> {
     let successes = sigmoid(logits.clone()).mean_dim(0).clamp(1e-4, 1.0 - 1e-4);
     let odds = successes.clone().neg().add_scalar(1.0).log() - successes.log();
     logits + odds
+}
+
+/// How far the logits of each column must move for as many successes in all as the lesson expects, which is where they differ
+/// least from it.
+fn apart(thought: &[f32], taught: &[f32], primitives: usize) -> Vec<f32> {
+    let chance = |logit: f32| 1.0 / (1.0 + (-logit).exp());
+    let expected = |logits: &[f32], column: usize, by: f32| -> f64 {
+        logits.iter().skip(column).step_by(primitives).map(|logit| f64::from(chance(logit + by))).sum()
+    };
+    let of_column = |column| {
+        let wanted = expected(taught, column, 0.0);
+        let (mut low, mut high) = (-FURTHEST, FURTHEST);
+        for _ in 0..24 {
+            let middle = 0.5 * (low + high);
+            let half = if expected(thought, column, middle) < wanted { &mut low } else { &mut high };
+            *half = middle;
+        }
+        0.5 * (low + high)
+    };
+    (0..primitives).map(of_column).collect()
 }
 
 /// Turns a hand about a random axis.
@@ -278,6 +302,15 @@ mod tests {
             assert!((z.norm() - 1.0).abs() < 1e-5 && (x.norm() - 1.0).abs() < 1e-5 && z.dot(&x).abs() < 1e-5);
             assert!(z.z > TURN.cos() - 1e-5);
         }
+    }
+
+    #[test]
+    fn moved_logits_expect_as_many_successes() {
+        // The second column is the first less 3, and one hand has no chance at all, which must not count for more than that.
+        let taught = [1.0, 1.0, -1.0, -1.0, -60.0, 0.5];
+        let thought = [1.0, -2.0, -1.0, -4.0, -4.0, -2.5];
+        let [first, second] = apart(&thought, &taught, 2)[..] else { panic!("two columns") };
+        assert!((-0.1..0.0).contains(&first) && (second - 3.0).abs() < 1e-4, "{first} {second}");
     }
 
     #[test]
