@@ -1,5 +1,6 @@
 //! Whether the hand has room: nothing that is seen may be where palm and fingers are at the start, nor where the palm is until
-//! the finger tips touch, nor where the fingers are when they close to pull. (The simulator's `Clearance` asks the object itself, of which a camera sees half.)
+//! the finger tips touch, nor, for pulling, where the open fingers are before they close. (The simulator's `Clearance` asks the
+//! object itself, of which a camera sees half.)
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::{FingerState, GRIPPER, Primitive};
@@ -34,7 +35,7 @@ impl Room {
     /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm when the finger
     /// tips touch, because a push must not begin with it, and a grip would not get that far. Between the two the palm moves
     /// by less than half its depth. Pulling needs fingers on both sides of something, or there is nothing to hold; the pulls
-    /// that move sideways succeed as often with fingers that only press.
+    /// that move sideways succeed as often with fingers that only press (figures in `weights/EXPERIMENTS.md`).
     pub(crate) fn fits(&self, primitive: Primitive, rotation: &Rotation3<f32>) -> bool {
         let opening = match primitive.fingers() {
             FingerState::Open => GRIPPER.finger_travel,

@@ -170,31 +170,22 @@ impl Source {
     /// Those of reading a shard.
     pub fn batch(&self, step: usize) -> Result<Batch, DataError> {
         let seed = self.seed.child("batch", step as u64);
-        let views: Vec<View> = self
+        let mut views: Vec<View> = self
             .scenes_of(step)
             .into_par_iter()
             .enumerate()
             .map(|(i, id)| self.view(id, &mut seed.child("view", i as u64).rng()))
             .collect::<Result<_, _>>()?;
-        let mut views = views;
-        let desks: Vec<Option<Desk>> = views.iter_mut().map(|view| view.desk.take()).collect();
-        let before: Vec<[usize; 2]> =
+        let Some(teacher) = &self.teacher else { return Ok(assemble(views, &self.model)) };
+        let counts: Vec<[usize; 2]> =
             views.iter().map(|view| [view.trials.len(), view.places.len()]).collect();
+        let desks: Vec<Option<Desk>> = views.iter_mut().map(|view| view.desk.take()).collect();
+        let asked: Vec<&[usize]> =
+            desks.iter().map(|desk| desk.as_ref().map_or(&[][..], |desk| &desk.places)).collect();
+        let rows = rows(&asked, &counts);
+        let desks: Vec<Desk> = desks.into_iter().flatten().collect();
         let mut batch = assemble(views, &self.model);
-        if let Some(teacher) = &self.teacher {
-            let trials = batch.queries.trials();
-            let mut rows = Vec::new();
-            let (mut first_trial, mut first_place) = (0, trials);
-            for (desk, [n, places]) in desks.iter().zip(before) {
-                let row = |place: &usize| {
-                    if *place < n { first_trial + place } else { first_place + place - n }
-                };
-                rows.extend(desk.iter().flat_map(|desk| &desk.places).map(row));
-                (first_trial, first_place) = (first_trial + n, first_place + places);
-            }
-            let desks = desks.into_iter().flatten().collect();
-            batch.queries.lesson = teacher.lesson(desks, rows, &mut seed.child("teacher", 0).rng());
-        }
+        batch.queries.lesson = teacher.lesson(&desks, rows, &mut seed.child("teacher", 0).rng());
         Ok(batch)
     }
 
@@ -232,8 +223,9 @@ impl Source {
         let pixels: Vec<Pixel> = pixels.collect();
         view.seen = seen_at(shard, id.scene, pixels.iter().copied(), mirrored);
         if let Some(teacher) = &self.teacher {
-            let desk = desk(teacher, shard, id.scene, &pixels, questions.len(), mirrored, rng);
-            view.desk = Some(desk.map_err(fail)?);
+            let (foreground, link) = (shard.foreground(id.scene), shard.link(id.scene));
+            view.desk =
+                desk(teacher, foreground, link, &pixels, questions.len(), mirrored, rng).map_err(fail)?;
         }
         Ok(view)
     }
@@ -261,32 +253,49 @@ fn seen_at(shard: &Shard, scene: usize, pixels: impl Iterator<Item = Pixel>, mir
     pixels.map(seen).collect()
 }
 
-/// The scan that the teacher sees of a view, and the places it talks about: a third of them those of trials, because these
-/// are where networks think that something moves, the others on parts that move.
+/// The scan that the teacher sees of a view, and the places it talks about: at most a third of them places of trials, many of
+/// which are where networks thought that something moves, the others places on parts that move, as far as they last.
 fn desk(
     teacher: &Teacher,
-    shard: &Shard,
-    scene: usize,
+    foreground: Vec<(Pixel, Point3<f32>)>,
+    link: &[u8],
     pixels: &[Pixel],
     trials: usize,
     mirrored: bool,
     rng: &mut ChaCha8Rng,
-) -> Result<Desk, PreprocessError> {
-    let (foreground, link) = (shard.foreground(scene), shard.link(scene));
-    let seen = |point: Point3<f32>| if mirrored { Point3::new(-point.x, point.y, point.z) } else { point };
-    let (mut of_trials, mut of_parts): (Vec<usize>, Vec<usize>) = (0..pixels.len())
-        .filter(|i| link[ImageSize::square(DEPTH_SIDE).index(pixels[*i])] > 1)
-        .partition(|i| *i < trials);
+) -> Result<Option<Desk>, PreprocessError> {
+    let size = ImageSize::square(DEPTH_SIDE);
+    let (mut of_trials, mut of_parts): (Vec<usize>, Vec<usize>) =
+        (0..pixels.len()).filter(|i| link[size.index(pixels[*i])] > 1).partition(|i| *i < trials);
     of_trials.shuffle(rng);
     of_trials.truncate(teacher.places() / 3);
     of_parts.truncate(teacher.places() - of_trials.len());
-    let asked: Vec<(usize, Point3<f32>)> = of_trials
-        .into_iter()
-        .chain(of_parts)
-        .filter_map(|i| Some((i, seen(point_of(&foreground, pixels[i])?))))
+    let asked: Vec<(usize, Point3<f32>)> = (of_trials.into_iter().chain(of_parts))
+        .filter_map(|i| Some((i, mirrored_if(mirrored, point_of(&foreground, pixels[i])?))))
         .collect();
-    let points: Vec<_> = foreground.into_iter().map(|(_, point)| seen(point)).collect();
-    teacher.desk(&points, &asked, rng)
+    if asked.is_empty() {
+        return Ok(None);
+    }
+    let points: Vec<_> = foreground.into_iter().map(|(_, point)| mirrored_if(mirrored, point)).collect();
+    teacher.desk(&points, &asked, rng).map(Some)
+}
+
+/// A point as a mirror shows it that swaps left and right.
+fn mirrored_if(mirrored: bool, point: Point3<f32>) -> Point3<f32> {
+    if mirrored { Point3::new(-point.x, point.y, point.z) } else { point }
+}
+
+/// Rows of a batch's places, trials of all views first, for places of each view, which count its own trials first.
+/// `counts` are each view's trials and places.
+fn rows(asked: &[&[usize]], counts: &[[usize; 2]]) -> Vec<usize> {
+    let mut first = [0, counts.iter().map(|[trials, _]| trials).sum()];
+    let mut rows = Vec::new();
+    for (asked, [trials, places]) in asked.iter().zip(counts) {
+        let row = |i: &usize| if i < trials { first[0] + i } else { first[1] + i - trials };
+        rows.extend(asked.iter().map(row));
+        first = [first[0] + trials, first[1] + places];
+    }
+    rows
 }
 
 /// Pixel of the stored picture that shows a pixel of the stored depth map.
@@ -335,7 +344,7 @@ fn cloud_view(
     model: &ModelConfig,
     rng: &mut ChaCha8Rng,
 ) -> Result<View, PreprocessError> {
-    let seen = |point: Point3<f32>| if mirrored { Point3::new(-point.x, point.y, point.z) } else { point };
+    let seen = |point: Point3<f32>| mirrored_if(mirrored, point);
     let points: Vec<_> = foreground.iter().map(|(_, point)| seen(*point)).collect();
     let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), model, rng)?;
     let asked = questions.iter().map(|q| q.pixel).chain(places.iter().map(|(pixel, _)| *pixel));
@@ -408,6 +417,9 @@ fn balanced(queries: &Queries, outputs: usize) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use burn::tensor::Device;
+    use where2act_core::Primitive;
+    use where2act_model::Network;
 
     #[test]
     fn successes_and_failures_weigh_the_same() {
@@ -423,5 +435,40 @@ mod tests {
     fn a_depth_pixel_and_its_picture_pixel_agree() {
         assert_eq!(picture_pixel(Pixel { u: 447, v: 447 }), Pixel { u: 223, v: 223 });
         assert_eq!(picture_pixel(Pixel { u: 3, v: 2 }), Pixel { u: 1, v: 1 });
+    }
+
+    #[test]
+    fn rows_are_where_views_put_their_places() {
+        // Trials are rows 0 to 2, 3 and none; places follow: 4, none, 5 to 7.
+        let counts = [[3, 1], [1, 0], [0, 3]];
+        assert_eq!(rows(&[&[3, 0], &[0], &[2, 1]], &counts), [4, 0, 3, 7, 6]);
+        assert_eq!(rows(&[&[], &[], &[0]], &counts), [5]);
+    }
+
+    #[test]
+    fn a_teacher_sees_what_the_mirror_shows() {
+        let config = ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(64);
+        let teacher = Teacher::new(Network::new(&config, Seed(1), &Device::flex()), 6);
+        let pixel = |i: u32| Pixel { u: 2 * (i % 20), v: 3 * (i / 20) };
+        let point = |p: Pixel| Point3::new(p.u as f32 * 0.01, p.v as f32 * 0.01, 1.0 + p.u as f32 * 0.003);
+        let foreground: Vec<_> = (0..400).map(pixel).map(|p| (p, point(p))).collect();
+        // What is in the first thirty rows does not move.
+        let link: Vec<u8> =
+            (0..DEPTH_SIDE * DEPTH_SIDE).map(|i| if i < 30 * DEPTH_SIDE { 1 } else { 2 }).collect();
+        let pixels: Vec<Pixel> = (0..40).map(|i| pixel(9 * i)).collect();
+        for mirrored in [false, true] {
+            let ask = |pixels: &[Pixel]| {
+                desk(&teacher, foreground.clone(), &link, pixels, 30, mirrored, &mut Seed(3).rng()).unwrap()
+            };
+            let asked = ask(&pixels).unwrap();
+            assert_eq!(asked.places.iter().filter(|place| **place < 30).count(), 2);
+            assert_eq!(asked.places.len(), 6);
+            for (place, found) in asked.places.iter().zip(asked.points_in_metres()) {
+                let seen = point(pixels[*place]);
+                let expected = Point3::new(if mirrored { -seen.x } else { seen.x }, seen.y, seen.z);
+                assert!((found - expected).norm() < 1e-5 && pixels[*place].v >= 30, "{found} {expected}");
+            }
+            assert!(ask(&pixels[..10]).is_none());
+        }
     }
 }

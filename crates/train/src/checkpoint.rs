@@ -24,6 +24,9 @@ pub struct Progress {
     pub secs: f64,
     /// SHA-256 of the configuration and of the data's manifest.
     pub fingerprint: String,
+    /// SHA-256 of the teacher's weights, if the run has one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub teacher: Option<String>,
 }
 
 /// Where a run stands.

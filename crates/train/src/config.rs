@@ -195,10 +195,12 @@ pub struct LossConfig {
 pub struct TeacherConfig {
     /// Folder of the weights of a network for scans with the same primitives, e.g. `weights/cloud`.
     pub weights: PathBuf,
-    /// Places of a view that it talks about in the steps with trials: of trials, and of parts that move.
+    /// Places of a view that it talks about in the steps with trials, at most: a third of them at most those of trials, the
+    /// others places on parts that move, of which `batch.places_per_view` offers half as many as its number, or all of them if
+    /// `batch.fixed` is 0. Default: 64.
     #[serde(default = "taught_places")]
     pub places: usize,
-    /// Weight of the loss: divergence of the score from what the teacher says.
+    /// Weight of the loss: divergence of the score from what the teacher says. Default: 1, the weight of what trials say.
     #[serde(default = "one")]
     pub weight: f32,
 }
@@ -473,8 +475,8 @@ impl TrainConfig {
                 (weights.display().to_string(), self.network.modality == Modality::Rgb);
             check(of_pictures, "teacher.weights", folder, "none, as only pictures are taught")?;
             check((1..=10_000).contains(places), "teacher.places", places.to_string(), "1 to 10000")?;
-            let is_weight = *weight >= 0.0 && weight.is_finite();
-            check(is_weight, "teacher.weight", weight.to_string(), "0 or more")?;
+            let is_weight = *weight > 0.0 && weight.is_finite();
+            check(is_weight, "teacher.weight", weight.to_string(), "more than 0")?;
         }
         check((1..=1024).contains(&batch.views), "batch.views", batch.views.to_string(), "1 to 1024")?;
         let trials = batch.trials_per_view;

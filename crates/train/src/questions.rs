@@ -49,6 +49,8 @@ impl Question {
 
 /// How far from an outline a pixel still lies beside it: 8 cm in the published view, the width of an open hand.
 const BESIDE: usize = 12;
+/// One in so many places where nothing moves lies beside an outline. With one in two the background further away lit up.
+const BESIDE_IN: u32 = 3;
 /// A pixel of the picture shows [`DEPTH_SIDE`] / [`RGB_SIDE`] pixels of the depth map a side, so that one this close to an
 /// outline may show what is on its other side; depth cameras mix the two there.
 const BLURRED: usize = DEPTH_SIDE / RGB_SIDE;
@@ -107,7 +109,7 @@ impl Ground {
     /// A pixel where nothing moves; each kind as likely, however large it is, and a third of them beside an outline.
     fn still(&self, rng: &mut ChaCha8Rng) -> Option<Pixel> {
         let first = usize::from(rng.random::<bool>());
-        let beside = rng.random_ratio(1, 3);
+        let beside = rng.random_ratio(1, BESIDE_IN);
         let of = |still: &Still, rng: &mut ChaCha8Rng| {
             let near = if beside { any(&still.beside, rng) } else { None };
             near.or_else(|| any(&still.all, rng))

@@ -12,8 +12,8 @@ use burn::module::Module;
 use burn::optim::GradientsParams;
 use burn::tensor::{Device, Tensor};
 use serde::Serialize;
-use where2act_core::{Policy, Seed, Trial, write_whole};
-use where2act_model::{Network, Precision, Summary, WeightsError, save_weights};
+use where2act_core::{Policy, Primitive, Seed, Trial, write_whole};
+use where2act_model::{Modality, Network, Precision, Summary, WeightsError, save_weights};
 
 use crate::adaptive;
 use crate::batch::{Batch, Source};
@@ -84,10 +84,19 @@ pub enum TrainError {
         path: PathBuf,
     },
     /// The teacher cannot teach this network.
-    #[error("{}: this network cannot teach, expected one for scans with the configuration's primitives", path.display())]
+    #[error(
+        "{}: this network cannot teach: expected one for scans with the configuration's primitives in their order, found \
+         one for {modality:?} with {}",
+        path.display(),
+        primitives.iter().map(|p| p.name()).collect::<Vec<_>>().join(", ")
+    )]
     OtherTeacher {
         /// The weights' folder.
         path: PathBuf,
+        /// What it is for.
+        modality: Modality,
+        /// What it knows.
+        primitives: Vec<Primitive>,
     },
     /// The loss is not a number any more, or far too large, or a weight is no number.
     #[error(
@@ -252,7 +261,7 @@ pub fn train<'a>(
     };
     let checkpoints = out.join(files::CHECKPOINTS);
     let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
-    let state = match &newest {
+    let mut state = match &newest {
         Some(path) => checkpoint::load(path, fresh)?,
         None => State { replay: first_trials(config, &dataset)?, ..fresh },
     };
@@ -262,11 +271,17 @@ pub fn train<'a>(
             what: "another configuration or other data",
         });
     }
+    let teacher =
+        config.teacher.as_ref().map(|teacher| Teacher::load(teacher, config, device)).transpose()?;
+    let theirs = teacher.as_ref().map(|teacher| teacher.sha256().to_owned());
+    if newest.is_some() && state.progress.teacher != theirs {
+        return Err(TrainError::OtherRun { path: out.to_owned(), what: "a teacher with other weights" });
+    }
+    state.progress.teacher = theirs;
     forget_metrics_after(&out.join(files::METRICS), state.progress.step)?;
-    let load = |teacher| Teacher::load(teacher, config, device).map(Arc::new);
     let mut run = Run {
         config,
-        teacher: config.teacher.as_ref().map(load).transpose()?,
+        teacher: teacher.map(Arc::new),
         dataset,
         train_scenes,
         validation_scenes,

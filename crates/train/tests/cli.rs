@@ -135,6 +135,7 @@ fn train_misses_what_it_shall_start_from_before_it_collects() {
     misused(&bench.train("--config run.toml --primitive pull"), &["--primitive", "pull"]);
     bench.write("rgb.toml", &CONFIG.replace("cloud", "rgb"));
     refused(&bench.train("--config rgb.toml --encoder nowhere.pth"), &["--encoder", "nowhere.pth"]);
+    refused(&bench.train("--config rgb.toml --teacher nowhere"), &["--teacher", "nowhere"]);
     assert!(!bench.path("data").exists());
 }
 

@@ -212,8 +212,9 @@ fn a_network_for_pictures_learns_from_one_for_scans() {
         save_weights(&weights, &network, "", Precision::F32).unwrap();
         Some(TeacherConfig { weights, places: 24, weight: 1.0 })
     };
-    let mut config = config(0, 30);
-    config.teacher = teacher(&config, "teacher");
+    let for_scans = config(0, 30);
+    let mut config = for_scans.clone();
+    config.teacher = teacher(&for_scans, "teacher");
     config.network.modality = Modality::Rgb;
     config.network.width = 0.125;
     (config.network.second_look, config.batch.measured) = (false, 0.0);
@@ -225,6 +226,27 @@ fn a_network_for_pictures_learns_from_one_for_scans() {
     let (first, last) = (mean(&losses[..5]), mean(&losses[25..]));
     assert!(losses.iter().all(|loss| *loss > 0.0) && last < 0.8 * first, "{losses:?}");
 
+    // In pieces it is the same, with the same teacher.
+    config.schedule.look_steps = 2;
+    config.loss.motion = 1.0;
+    config.schedule.joint_steps = 6;
+    let (_, whole) = train_for(&config, &data, &folder.path().join("whole"), usize::MAX).unwrap();
+    let pieces = folder.path().join("pieces");
+    let mut resumed = Vec::new();
+    for steps in [2, 3] {
+        resumed.extend(train_for(&config, &data, &pieces, steps).unwrap().1);
+    }
+    let (named, aside) = (folder.path().join("teacher"), folder.path().join("aside"));
+    std::fs::rename(&named, &aside).unwrap();
+    let stranger = Network::new(&for_scans.model(), Seed(2), &Device::flex());
+    save_weights(&named, &stranger, "", Precision::F32).unwrap();
+    let error = train_for(&config, &data, &pieces, usize::MAX).unwrap_err();
+    assert!(error.to_string().contains("a teacher with other weights"), "{error}");
+    std::fs::remove_dir_all(&named).unwrap();
+    std::fs::rename(&aside, &named).unwrap();
+    resumed.extend(train_for(&config, &data, &pieces, usize::MAX).unwrap().1);
+    assert_eq!(whole, resumed);
+
     // A teacher for other primitives, and a network for scans that has one.
     let mut other = config.clone();
     other.network.primitives = vec![Primitive::Pulling];
@@ -232,7 +254,7 @@ fn a_network_for_pictures_learns_from_one_for_scans() {
     config.teacher = teacher(&other, "other-teacher");
     let error = train_for(&config, &data, &folder.path().join("other"), 1).unwrap_err();
     assert!(
-        matches!(&error, TrainError::OtherTeacher { path } if path.ends_with("other-teacher")),
+        matches!(&error, TrainError::OtherTeacher { path, .. } if path.ends_with("other-teacher")),
         "{error}"
     );
     config.network.modality = Modality::Cloud;
