@@ -7,6 +7,8 @@ use where2act_core::{FingerState, GRIPPER, Primitive};
 
 /// Farthest that a part of the hand is from the contact point at the start, metres: the corners of the palm's back.
 pub(crate) const REACH: f32 = 0.206;
+/// The same of the open fingers when they are about to close.
+pub(crate) const GRIP_REACH: f32 = 0.079;
 /// How far inside the hand a point must be, metres: depth cameras are no more exact than that.
 const MARGIN: f32 = 0.002;
 /// Points inside the hand that are more than a flying pixel.
@@ -19,17 +21,26 @@ const BLOCK: usize = 128;
 pub(crate) struct Room {
     /// Points less than [`REACH`] away, as offsets from the contact point in the camera frame, metres: all x, all y, all z.
     offsets: [Vec<f32>; 3],
+    /// Points less than [`GRIP_REACH`] away, as densely as they are known: a finger is as wide as three pixels of the published
+    /// view. Offsets from the contact point.
+    close: Vec<Vector3<f32>>,
 }
 
 impl Room {
-    pub(crate) fn new(obstacles: impl Iterator<Item = Point3<f32>>, contact: &Point3<f32>) -> Self {
+    /// `close` are asked by hands that pull alone.
+    pub(crate) fn new(
+        obstacles: impl Iterator<Item = Point3<f32>>,
+        close: impl Iterator<Item = Point3<f32>>,
+        contact: &Point3<f32>,
+    ) -> Self {
         let mut offsets = [const { Vec::new() }; 3];
         for offset in
             obstacles.map(|point| point - contact).filter(|offset| offset.norm_squared() < REACH * REACH)
         {
             offsets.iter_mut().zip(offset.iter()).for_each(|(all, one)| all.push(*one));
         }
-        Self { offsets }
+        let close = close.map(|point| point - contact);
+        Self { offsets, close: close.filter(|o| o.norm_squared() < GRIP_REACH * GRIP_REACH).collect() }
     }
 
     /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm when the finger
@@ -41,7 +52,6 @@ impl Room {
             FingerState::Open => GRIPPER.finger_travel,
             FingerState::Closed => 0.0,
         };
-        let grips = primitive == Primitive::Pulling;
         let [xs, ys, zs] = &self.offsets;
         let mut inside = 0;
         // Block by block, so that a crowded place is known early and the compiler makes vectors of the rest.
@@ -50,15 +60,23 @@ impl Room {
                 let point = rotation.inverse_transform_vector(&Vector3::new(*x, *y, *z));
                 let at = |distance: f32| [point.x, point.y, point.z + distance];
                 let start = at(Primitive::START_DISTANCE);
-                let before = in_palm(start) | in_fingers(start, opening) | in_palm(at(GRIPPER.tip));
-                let gripping = grips & in_fingers(at(primitive.contact_distance()), opening);
-                inside += u32::from(before | gripping);
+                inside += u32::from(in_palm(start) | in_fingers(start, opening) | in_palm(at(GRIPPER.tip)));
             }
             if inside >= ENOUGH {
                 return false;
             }
         }
-        true
+        primitive != Primitive::Pulling || self.grips(rotation)
+    }
+
+    /// Whether open fingers at the end of the approach have nothing inside them.
+    fn grips(&self, rotation: &Rotation3<f32>) -> bool {
+        let inside = self.close.iter().filter(|offset| {
+            let point = rotation.inverse_transform_vector(offset);
+            let at = [point.x, point.y, point.z + Primitive::Pulling.contact_distance()];
+            in_fingers(at, GRIPPER.finger_travel)
+        });
+        inside.take(ENOUGH as usize).count() < ENOUGH as usize
     }
 }
 
@@ -97,7 +115,8 @@ mod tests {
     fn seen(x: f32, y: f32, z: f32) -> Room {
         let contact = Point3::new(0.1, -0.2, 1.5);
         let point = contact + Vector3::new(x, y, z);
-        Room::new([point, point, contact, Point3::origin()].into_iter(), &contact)
+        let points = [point, point, contact, Point3::origin()];
+        Room::new(points.into_iter(), points.into_iter(), &contact)
     }
 
     #[test]
@@ -107,7 +126,7 @@ mod tests {
         // Right where the palm begins, and a flying pixel there.
         assert!(!fits(&seen(0.0, 0.09, -0.1), Pushing) && !fits(&seen(0.0, 0.09, -0.1), Pulling));
         let contact = Point3::origin();
-        let alone = Room::new(std::iter::once(Point3::new(0.0, 0.09, -0.1)), &contact);
+        let alone = Room::new(std::iter::once(Point3::new(0.0, 0.09, -0.1)), std::iter::empty(), &contact);
         assert!(fits(&alone, Pushing));
         // Beside the palm: nothing is in the way, unless the hand is turned by a right angle.
         let beside = seen(0.09, 0.0, -0.1);
@@ -135,5 +154,9 @@ mod tests {
         let ([_, _, back], [x, y, _]) = (GRIPPER.hand_min, GRIPPER.hand_max);
         let corner = Vector3::new(x, y, back - Primitive::START_DISTANCE);
         assert!((corner.norm()..corner.norm() + 1e-3).contains(&REACH));
+        let ([_, _, bottom], [x, y, _]) = (GRIPPER.finger_min, GRIPPER.finger_max);
+        let back = GRIPPER.finger_offset + bottom - Primitive::Pulling.contact_distance();
+        let corner = Vector3::new(x, GRIPPER.finger_travel + y, back);
+        assert!((corner.norm()..corner.norm() + 1e-3).contains(&GRIP_REACH));
     }
 }

@@ -216,7 +216,7 @@ impl Predictor {
             None => prepared.places.best(logit, options.candidates),
         };
         let places: Vec<_> = candidates.iter().map(|&row| prepared.place(row)).collect();
-        let room = |place: &Place| if options.clearance { prepared.room(place) } else { None };
+        let room = |place: &Place| if options.clearance { prepared.room(place, primitive) } else { None };
         let rooms: Vec<Option<Room>> = places.iter().map(room).collect();
         let fits = |hand: &Scored| {
             let room = rooms.get(hand.candidate).and_then(Option::as_ref);

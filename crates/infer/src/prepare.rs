@@ -3,12 +3,12 @@
 use std::ops::Range;
 
 use nalgebra::Point3;
-use where2act_core::{ImageSize, Observation, Pixel};
+use where2act_core::{ImageSize, Observation, Pixel, Primitive};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError};
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::NetworkInput;
-use crate::clearance::{REACH, Room};
+use crate::clearance::{GRIP_REACH, REACH, Room};
 use crate::decode::Places;
 use crate::dense::{Geometry, on_object};
 use crate::nearest::NearestIndex;
@@ -150,12 +150,18 @@ impl<'a> Prepared<'a> {
     }
 
     /// Room for hands at a place, if there is depth: a mask hides nothing that may be in their way.
-    pub(crate) fn room(&self, place: &Place) -> Option<Room> {
+    pub(crate) fn room(&self, place: &Place, primitive: Primitive) -> Option<Room> {
         let contact = place.point?;
+        let grips = primitive == Primitive::Pulling;
         match (self.depth, &self.surface) {
-            (Some(depth), _) => Some(Room::new(depth.around_point(&contact, REACH).into_iter(), &contact)),
+            (Some(depth), _) => {
+                let around = |reach| depth.around_point(&contact, reach).into_iter();
+                let close = grips.then(|| around(GRIP_REACH)).into_iter().flatten();
+                Some(Room::new(around(REACH), close, &contact))
+            }
             (None, Some(surface)) => {
-                Some(Room::new(surface.points().iter().take(OBSTACLES).copied(), &contact))
+                let seen = |most| surface.points().iter().take(most).copied();
+                Some(Room::new(seen(OBSTACLES), seen(if grips { usize::MAX } else { 0 }), &contact))
             }
             (None, None) => None,
         }

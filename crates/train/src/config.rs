@@ -193,7 +193,7 @@ pub struct LossConfig {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TeacherConfig {
-    /// Folder of the weights of a network for scans with the same primitives, e.g. `weights/cloud`.
+    /// Folder of the weights of a network for scans that knows the same primitives, e.g. `weights/cloud`.
     pub weights: PathBuf,
     /// Places of a view that it talks about in the steps with trials, at most: a third of them at most those of trials, the
     /// others places on parts that move, of which `batch.places_per_view` offers half as many as its number, or all of them if

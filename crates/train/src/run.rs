@@ -85,8 +85,8 @@ pub enum TrainError {
     },
     /// The teacher cannot teach this network.
     #[error(
-        "{}: this network cannot teach: expected one for scans with the configuration's primitives in their order, found \
-         one for {modality:?} with {}",
+        "{}: this network cannot teach: expected one for scans that knows the configuration's \
+         primitives, found one for {modality:?} with {}",
         path.display(),
         primitives.iter().map(|p| p.name()).collect::<Vec<_>>().join(", ")
     )]

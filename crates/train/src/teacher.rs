@@ -11,7 +11,7 @@ use rand_distr::{Distribution, StandardNormal, UnitSphere};
 use where2act_core::Orientation6;
 use where2act_model::losses::binary_cross_entropy;
 use where2act_model::preprocess::{CloudInput, CloudScale, PreprocessError};
-use where2act_model::{Grouping, Heads, Input, Modality, ModelConfig, Network, Weights, hand_frame, to_axes};
+use where2act_model::{Grouping, Heads, Input, Modality, Network, Weights, hand_frame, to_axes};
 
 use crate::config::{TeacherConfig, TrainConfig};
 use crate::run::TrainError;
@@ -26,6 +26,8 @@ const FURTHEST: f32 = 20.0;
 #[derive(Clone, Debug)]
 pub struct Teacher {
     network: Network,
+    /// Its outputs for the primitives of the network that learns.
+    outputs: Vec<usize>,
     /// Of its weights' file.
     sha256: String,
     /// Places of a view that it talks about, at most.
@@ -59,15 +61,20 @@ impl Teacher {
     /// Reads the network that a configuration names.
     ///
     /// # Errors
-    /// Those of reading weights, and [`TrainError::OtherTeacher`] if it is none for scans with the same primitives.
+    /// Those of reading weights, and [`TrainError::OtherTeacher`] if it is none for scans, or does not know a primitive.
     pub fn load(config: &TeacherConfig, run: &TrainConfig, device: &Device) -> Result<Self, TrainError> {
         let Weights { network, sha256 } = Weights::load(&config.weights, device)?;
-        let ModelConfig { modality, primitives, .. } = network.config();
-        if *modality != Modality::Cloud || *primitives != run.network.primitives {
-            let (path, modality, primitives) = (config.weights.clone(), *modality, primitives.clone());
-            return Err(TrainError::OtherTeacher { path, modality, primitives });
+        let theirs = network.config();
+        let outputs: Option<Vec<usize>> =
+            run.network.primitives.iter().map(|primitive| theirs.output_of(*primitive)).collect();
+        match outputs.filter(|_| theirs.modality == Modality::Cloud) {
+            Some(outputs) => Ok(Self { network, outputs, sha256, places: config.places }),
+            None => Err(TrainError::OtherTeacher {
+                path: config.weights.clone(),
+                modality: theirs.modality,
+                primitives: theirs.primitives.clone(),
+            }),
         }
-        Ok(Self { network, sha256, places: config.places })
     }
 
     /// SHA-256 of its weights.
@@ -111,8 +118,10 @@ impl Teacher {
                 turn(hand, rng);
             }
         }
-        let logits = floats(evened(self.logits(desks, features, &orientations)));
-        Lesson { rows, orientations, logits }
+        let outputs: Vec<i64> = self.outputs.iter().map(|output| *output as i64).collect();
+        let outputs = Tensor::<1, Int>::from_ints(outputs.as_slice(), &device);
+        let logits = self.logits(desks, features, &orientations).select(1, outputs);
+        Lesson { rows, orientations, logits: floats(evened(logits)) }
     }
 
     /// `[n, features]` at the places of all desks.
@@ -125,7 +134,8 @@ impl Teacher {
         self.network.features_at(Input::Clouds(&hierarchy), &places)
     }
 
-    /// `[n * each, primitives]` for as many hands at each of the places of all desks, whose features are `[n, features]`.
+    /// `[n * each, primitives of the teacher]` for as many hands at each of the places of all desks, whose features are
+    /// `[n, features]`.
     fn logits(&self, desks: &[Desk], features: Tensor<2>, orientations: &[[f32; 6]]) -> Tensor<2> {
         let (heads, device, [n, _]) = (&self.network.heads, features.device(), features.dims());
         let each = orientations.len() / n;
@@ -247,7 +257,8 @@ fn floats<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 #[cfg(test)]
 impl Teacher {
     pub(crate) fn new(network: Network, places: usize) -> Self {
-        Self { network, sha256: String::new(), places }
+        let outputs = (0..network.config().primitives.len()).collect();
+        Self { network, outputs, sha256: String::new(), places }
     }
 }
 
@@ -263,6 +274,7 @@ impl Desk {
 mod tests {
     use super::*;
     use where2act_core::{Primitive, Seed};
+    use where2act_model::ModelConfig;
 
     const STRAIGHT: [f32; 6] = [0.0, 0.0, 1.0, 1.0, 0.0, 0.0];
 
@@ -335,6 +347,19 @@ mod tests {
         let first_look = floats(blind.logits(&desks, teacher.features(&desks), &hands));
         let (changed, looked) = (largest(&together, &each), largest(&together, &first_look));
         assert!(together.len() == each.len() && changed < 1e-5 && looked > 1e-3, "{changed} {looked}");
+    }
+
+    #[test]
+    fn who_learns_one_primitive_hears_of_that_alone() {
+        let mut teacher = teacher(false);
+        let desks = desks(&teacher);
+        let lesson = |teacher: &Teacher| teacher.lesson(&desks, (0..5).collect(), &mut Seed(3).rng());
+        let all = lesson(&teacher);
+        teacher.outputs = vec![1];
+        let pulling: Vec<f32> = all.logits.iter().skip(1).step_by(2).copied().collect();
+        let one = lesson(&teacher);
+        assert!(one.logits.len() == 10 && largest(&one.logits, &pulling) < 1e-6);
+        assert_eq!(one.orientations, all.orientations);
     }
 
     #[test]
