@@ -46,7 +46,7 @@ impl Room {
     /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm when the finger
     /// tips touch, because a push must not begin with it, and a grip would not get that far. Between the two the palm moves
     /// by less than half its depth. Pulling needs fingers on both sides of something, or there is nothing to hold; the pulls
-    /// that move sideways succeed as often with fingers that only press (figures in `weights/EXPERIMENTS.md`).
+    /// that move sideways succeed nearly as often with fingers that only press (figures in `weights/EXPERIMENTS.md`).
     pub(crate) fn fits(&self, primitive: Primitive, rotation: &Rotation3<f32>) -> bool {
         let opening = match primitive.fingers() {
             FingerState::Open => GRIPPER.finger_travel,
