@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::activation::sigmoid;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Int, Tensor, TensorData};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use where2act_model::losses::{
@@ -166,10 +166,8 @@ fn reconstruction(
     let (outputs, latent) = (network.config().primitives.len(), network.config().latent);
     let picked: Vec<usize> = successes.iter().map(|&i| queries.outputs[i]).collect();
     let choice = Choice::new(&picked, outputs, &device);
-    let rows: Vec<i64> = successes.iter().map(|&i| i as i64).collect();
-    let rows = Tensor::<1, burn::tensor::Int>::from_data(TensorData::new(rows, [successes.len()]), &device);
-    let features = features.select(0, rows.clone());
-    let orientations = orientations.clone().select(0, rows);
+    let features = select(features, successes.iter().copied());
+    let orientations = select(orientations.clone(), successes.iter().copied());
     let code = network.heads.proposal.encode(features.clone(), orientations.clone(), &choice);
     let z = code.sample(normal([successes.len(), latent], rng, &device));
     let decoded = to_axes(choice.pick_rows(network.heads.proposal.decode(features, z)));
@@ -203,10 +201,7 @@ fn actionability_target(
     let choice = Choice::new(&repeated, outputs, &device);
     let axes = to_axes(choice.pick_rows(raw.reshape([q * proposals, outputs, 6])));
     let axes = axes.reshape([q, proposals, 6]);
-    let hands = heads.score.hands(features.clone(), axes.clone());
-    let halves = heads.score.feature_half(features.clone()).unsqueeze_dim::<3>(1)
-        + heads.score.hand_half(hands).reshape([q, proposals, hidden]);
-    let logits = heads.score.from_halves(halves.reshape([q * proposals, hidden]));
+    let logits = heads.score.forward_each(features.clone(), axes.clone());
     let logits = choice.pick(heads.with_ways(logits, features, axes));
     let scores = sigmoid(logits).reshape([q, proposals]);
     if config.best == 0 {
@@ -214,6 +209,13 @@ fn actionability_target(
     } else {
         scores.topk(config.best, 1).mean_dim(1).reshape([q])
     }
+}
+
+/// Some rows.
+pub(crate) fn select(all: Tensor<2>, rows: impl Iterator<Item = usize>) -> Tensor<2> {
+    let rows: Vec<i64> = rows.map(|row| row as i64).collect();
+    let (device, shape) = (all.device(), [rows.len()]);
+    all.select(0, Tensor::<1, Int>::from_data(TensorData::new(rows, shape), &device))
 }
 
 /// Standard normal numbers from a generator that is passed in.

@@ -15,6 +15,7 @@ use where2act_model::{Grouping, Heads, Input, Modality, Network, Weights, hand_f
 
 use crate::config::{TeacherConfig, TrainConfig};
 use crate::run::TrainError;
+use crate::step::select;
 
 /// How far half of the hands are turned away from what the teacher would do, at most, radians. What it never proposes a
 /// network that knows less does propose.
@@ -140,7 +141,7 @@ impl Teacher {
         let (heads, device, [n, _]) = (&self.network.heads, features.device(), features.dims());
         let each = orientations.len() / n;
         let axes = Tensor::<3>::from_data(TensorData::new(orientations.concat(), [n, each, 6]), &device);
-        let Some(look) = &heads.second_look else { return scores(heads, features, axes) };
+        let Some(look) = &heads.second_look else { return heads.score.forward_each(features, axes) };
         let mut views: Vec<Grouping> = Vec::new();
         let mut of_places = orientations.chunks(each);
         for Desk { scan, points, .. } in desks {
@@ -168,7 +169,7 @@ impl Lesson {
         let (device, primitives) = (features.device(), self.logits.len() / self.orientations.len());
         let axes = TensorData::new(self.orientations.concat(), [n, each, 6]);
         let features = select(features.clone(), self.rows.iter().copied());
-        let thought = scores(heads, features, Tensor::from_data(axes, &device));
+        let thought = heads.score.forward_each(features, Tensor::from_data(axes, &device));
         let shifts = shifts(&floats(thought.clone().detach()), &self.logits, primitives);
         let shifts = Tensor::<2>::from_data(TensorData::new(shifts, [1, primitives]), &device);
         let taught = TensorData::new(self.logits.clone(), [n * each, primitives]);
@@ -178,26 +179,6 @@ impl Lesson {
         let wrong = |logits| binary_cross_entropy(logits, chances.clone()).mean();
         Some(wrong(thought) - wrong(taught))
     }
-}
-
-/// Logits of the score for hands at places.
-///
-/// # Shapes
-/// `[n, features]`, `[n, each, 6]` -> `[n * each, primitives]`
-fn scores(heads: &Heads, features: Tensor<2>, axes: Tensor<3>) -> Tensor<2> {
-    let [n, each, _] = axes.dims();
-    let hands = heads.score.hand_half(heads.score.hands(features.clone(), axes));
-    let [_, hidden] = hands.dims();
-    let halves = heads.score.feature_half(features).unsqueeze_dim::<3>(1) + hands.reshape([n, each, hidden]);
-    heads.score.from_halves(halves.reshape([n * each, hidden]))
-}
-
-/// Some rows.
-fn select(features: Tensor<2>, rows: impl Iterator<Item = usize>) -> Tensor<2> {
-    let rows: Vec<i64> = rows.map(|row| row as i64).collect();
-    let device = features.device();
-    let shape = [rows.len()];
-    features.select(0, Tensor::<1, Int>::from_data(TensorData::new(rows, shape), &device))
 }
 
 /// Logits less the logarithm of the odds of a success in their column.
@@ -324,7 +305,7 @@ mod tests {
         let spread = |rows: [usize; 5]| {
             let features = select(features.clone(), rows.into_iter());
             let axes = Tensor::from_data(axes.clone(), &Device::flex());
-            let thought = floats(scores(&teacher.network.heads, features, axes));
+            let thought = floats(teacher.network.heads.score.forward_each(features, axes));
             let apart: Vec<f32> = thought.iter().zip(&lesson.logits).map(|(a, b)| a - b).collect();
             largest(&apart[2..], &apart)
         };

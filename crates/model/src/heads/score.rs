@@ -61,6 +61,19 @@ impl ScoreHead {
         self.from_halves(self.feature_half(features) + self.hand_half(hands))
     }
 
+    /// Logits of several hands at each place, whose feature enters the hidden layer once.
+    ///
+    /// # Shapes
+    /// `[n, features]`, orthonormal axes `[n, each, 6]` -> `[n * each, primitives]`
+    #[must_use]
+    pub fn forward_each(&self, features: Tensor<2>, orientations: Tensor<3>) -> Tensor<2> {
+        let [n, each, _] = orientations.dims();
+        let hands = self.hand_half(self.hands(features.clone(), orientations));
+        let [_, hidden] = hands.dims();
+        let sum = self.feature_half(features).unsqueeze_dim::<3>(1) + hands.reshape([n, each, hidden]);
+        self.from_halves(sum.reshape([n * each, hidden]))
+    }
+
     /// What the hidden layer sees of hands: their orientations and how they are aligned.
     ///
     /// # Shapes
