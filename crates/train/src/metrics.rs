@@ -1,8 +1,11 @@
 //! How good scores are: threshold metrics, ranking, calibration, and intervals for rates.
 
 use nalgebra::{Matrix2, Vector2};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
+use statrs::statistics::{Data, OrderStatistics};
 
 /// Share of successes with a 95 % Wilson interval (Wilson, 1927), which stays sensible for few trials and for rates
 /// near 0 and 1.
@@ -91,6 +94,37 @@ impl ScoreMetrics {
             best_threshold: expected_best_threshold(scored, successes),
         }
     }
+}
+
+/// 95 % interval of the F-score over scenes like these: percentiles of as many scenes drawn with replacement (the bootstrap,
+/// Efron, 1979). Trials of one scene end alike, so that intervals which took them for independent would be too narrow.
+/// `[low, high]`; all there is without scenes.
+#[must_use]
+pub fn f_score_interval(scenes: &[&[(f32, bool)]], rng: &mut ChaCha8Rng) -> [f64; 2] {
+    const DRAWS: usize = 2000;
+    if scenes.is_empty() {
+        return [0.0, 1.0];
+    }
+    // Twice the hits, and what the F-score divides that by.
+    let parts: Vec<[usize; 2]> = scenes
+        .iter()
+        .map(|scored| {
+            let of = |(score, success): &(f32, bool)| (*score > ScoreMetrics::THRESHOLD, *success);
+            scored.iter().map(of).fold([0, 0], |[twice, whole], (called, success)| {
+                [
+                    twice + 2 * usize::from(called && success),
+                    whole + usize::from(called) + usize::from(success),
+                ]
+            })
+        })
+        .collect();
+    let mut draw = || {
+        let drawn = (0..parts.len()).map(|_| parts[rng.random_range(0..parts.len())]);
+        let [twice, whole] = drawn.fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]]);
+        if whole == 0 { 0.0 } else { twice as f64 / whole as f64 }
+    };
+    let mut scores = Data::new((0..DRAWS).map(|_| draw()).collect::<Vec<f64>>());
+    [0.025, 0.975].map(|share| scores.quantile(share))
 }
 
 /// Average precision and best F-score over all distinct scores as thresholds.
@@ -293,11 +327,38 @@ mod tests {
         assert_eq!(Rate::new(0, 0).high, 1.0);
     }
 
+    /// Where every trial is called a success, the F-score is 2 s / (n + s), and s of n scenes with one trial each, a quarter
+    /// of which succeed, is binomial.
+    #[test]
+    fn an_interval_for_the_f_score_is_that_of_scenes_drawn_again() {
+        use statrs::distribution::{Binomial, DiscreteCDF};
+        let trials: Vec<(f32, bool)> = (0..40).map(|i| (0.9, i % 4 == 0)).collect();
+        let interval =
+            |of_scene: &[&[(f32, bool)]]| f_score_interval(of_scene, &mut where2act_core::Seed(1).rng());
+        let each: Vec<_> = trials.chunks(1).collect();
+        let binomial = Binomial::new(0.25, 40).unwrap();
+        for (found, share) in interval(&each).into_iter().zip([0.025, 0.975]) {
+            let successes = binomial.inverse_cdf(share) as f64;
+            let expected = 2.0 * successes / (40.0 + successes);
+            assert!((found - expected).abs() < 0.035, "{found} {expected}");
+        }
+        // Scenes that are all alike leave no doubt; ten trials that end alike are no ten scenes.
+        let alike: Vec<_> = trials.chunks(4).collect();
+        assert_eq!(interval(&alike), [0.4, 0.4]);
+        let mut sorted = trials.clone();
+        sorted.sort_by_key(|(_, success)| *success);
+        let [low, high] = interval(&sorted.chunks(10).collect::<Vec<_>>());
+        assert!(low == 0.0 && high > 0.8, "{low} {high}");
+    }
+
     #[test]
     fn nothing_to_judge_gives_zeros_not_nan() {
         let m = ScoreMetrics::new(&[]);
         assert_eq!((m.precision, m.recall, m.f_score, m.average_precision), (0.0, 0.0, 0.0, 0.0));
         assert_eq!(reliability(&[]).1, 0.0);
+        let mut rng = where2act_core::Seed(1).rng();
+        assert_eq!(f_score_interval(&[], &mut rng), [0.0, 1.0]);
+        assert_eq!(f_score_interval(&[&[(0.1, false)]], &mut rng), [0.0, 0.0]);
     }
 
     #[test]

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
-use where2act_core::Verdict;
+use where2act_core::{Seed, Verdict};
 use where2act_infer::Predictor;
 
 use super::{Contestant, EvaluateConfig, Fate, PrimitiveResult, SceneResult, names};
-use crate::metrics::{Rate, Reliability, ScoreMetrics, reliability};
+use crate::metrics::{Rate, Reliability, ScoreMetrics, f_score_interval, reliability};
 
 /// Everything that judging found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,6 +56,8 @@ pub struct Row {
     pub fates: Vec<(Fate, u64)>,
     /// The score on random trials in all scenes, possible or not.
     pub score: ScoreMetrics,
+    /// 95 % interval of its F-score.
+    pub f_score_interval: [f64; 2],
     /// How far the score can be taken for a probability.
     pub reliability: Vec<Reliability>,
     /// Mean distance between score and outcome.
@@ -72,7 +74,7 @@ impl Report {
         let primitives = names(&predictor.config().primitives);
         let judge = |wanted: &dyn Fn(&SceneResult) -> bool| {
             let mine: Vec<_> = scenes.iter().filter(|scene| wanted(scene)).collect();
-            Judgement::new(&primitives, &mine)
+            Judgement::new(&primitives, &mine, config.seed)
         };
         let named = |key: &dyn Fn(&SceneResult) -> Option<String>| -> BTreeMap<String, Judgement> {
             let mut keys: Vec<String> = scenes.iter().filter_map(key).collect();
@@ -132,13 +134,15 @@ impl Report {
             text += "\n";
         }
         text += &self.fates_table();
-        text += "\nThe score on random trials (threshold 0.5):\n\n";
+        text += "\nThe score on random trials (threshold 0.5; intervals by bootstrap over scenes):\n\n";
         text += "| primitive | trials | successes | F-score | precision | recall | average precision | calibration error |\n";
         text += "| --- | --- | --- | --- | --- | --- | --- | --- |\n";
-        for Row { primitive, score: s, calibration_error, .. } in &self.total.rows {
+        for Row { primitive, score: s, f_score_interval: [low, high], calibration_error, .. } in
+            &self.total.rows
+        {
             let _ = writeln!(
                 text,
-                "| {primitive} | {} | {} | {:.3} | {:.3} | {:.3} | {:.3} | {calibration_error:.3} |",
+                "| {primitive} | {} | {} | {:.3} ({low:.2}-{high:.2}) | {:.3} | {:.3} | {:.3} | {calibration_error:.3} |",
                 s.trials, s.successes, s.f_score, s.precision, s.recall, s.average_precision
             );
         }
@@ -243,10 +247,10 @@ fn separator(columns: usize) -> String {
 }
 
 impl Judgement {
-    fn new(primitives: &[String], scenes: &[&SceneResult]) -> Self {
+    fn new(primitives: &[String], scenes: &[&SceneResult], seed: Seed) -> Self {
         let rows = primitives.iter().enumerate().map(|(p, primitive)| {
             let results: Vec<&PrimitiveResult> = scenes.iter().map(|scene| &scene.primitives[p]).collect();
-            row(primitive, &results)
+            row(primitive, &results, seed.child("bootstrap", p as u64))
         });
         Self { scenes: scenes.len() as u64, rows: rows.collect() }
     }
@@ -259,7 +263,7 @@ impl Row {
     }
 }
 
-fn row(primitive: &str, results: &[&PrimitiveResult]) -> Row {
+fn row(primitive: &str, results: &[&PrimitiveResult], seed: Seed) -> Row {
     let possible: Vec<_> = results.iter().filter(|r| r.possible).collect();
     let rate = |contestant: Contestant| {
         let outcomes: Vec<bool> = possible
@@ -271,7 +275,8 @@ fn row(primitive: &str, results: &[&PrimitiveResult]) -> Row {
         Rate::new(outcomes.iter().filter(|o| **o).count() as u64, outcomes.len() as u64)
     };
     let count = |fate: Fate| possible.iter().flat_map(|r| &r.fates).filter(|f| **f == fate).count() as u64;
-    let scored: Vec<(f32, bool)> = results.iter().flat_map(|r| r.scored.iter().copied()).collect();
+    let of_scenes: Vec<&[(f32, bool)]> = results.iter().map(|r| r.scored.as_slice()).collect();
+    let scored = of_scenes.concat();
     let (rows, calibration_error) = reliability(&scored);
     Row {
         primitive: primitive.to_owned(),
@@ -279,6 +284,7 @@ fn row(primitive: &str, results: &[&PrimitiveResult]) -> Row {
         rates: Contestant::ALL.map(|c| (c, rate(c))).to_vec(),
         fates: Fate::ALL.map(|fate| (fate, count(fate))).to_vec(),
         score: ScoreMetrics::new(&scored),
+        f_score_interval: f_score_interval(&of_scenes, &mut seed.rng()),
         reliability: rows,
         calibration_error,
     }
@@ -297,7 +303,7 @@ mod tests {
             scored: vec![(0.9, success)],
         };
         let (a, b, c) = (scene(true, true), scene(true, false), scene(false, false));
-        let row = row("pushing", &[&a, &b, &c]);
+        let row = row("pushing", &[&a, &b, &c], Seed(0));
         assert_eq!((row.possible_scenes, row.rates[0].1.successes, row.rates[0].1.tries), (2, 1, 2));
         assert_eq!(row.score.trials, 3);
         assert_eq!(
