@@ -182,6 +182,8 @@ pub struct EpochReport<'a> {
     pub epoch: usize,
     /// Metrics on validation scenes.
     pub validation: &'a Validation,
+    /// How much the ways that places of validation scenes can go differ from those the network tells, if it learns them.
+    pub ways: Option<f32>,
     /// Whether these are the best weights so far.
     pub is_best: bool,
     /// The network as it stands, without gradients.
@@ -410,7 +412,7 @@ impl Run<'_> {
         let seed = self.config.root_seed();
         let validation = validate(&network, &self.dataset, &self.validation_scenes, seed)?;
         let joint = self.config.phase(self.state.progress.step - 1) == Phase::Joint;
-        let motion = self.motion(seed)?;
+        let ways = self.ways(seed)?;
         // Proposals and actionability are learnt in the joint phase alone: weights of the first phase cannot be used.
         let is_best = joint && self.state.progress.best.is_none_or(|best| validation.figure > best);
         if is_best {
@@ -430,9 +432,10 @@ impl Run<'_> {
         }
         let step = self.state.progress.step;
         let line =
-            serde_json::json!({ "step": step, "epoch": epoch, "validation": validation, "ways": motion });
+            serde_json::json!({ "step": step, "epoch": epoch, "validation": validation, "ways": ways });
         self.log(&line)?;
-        let report = EpochReport { step, joint, epoch, validation: &validation, is_best, network: &network };
+        let (validation, network) = (&validation, &network);
+        let report = EpochReport { step, joint, epoch, validation, ways, is_best, network };
         let new = (self.control.on_epoch)(&report);
         if !new.is_empty() {
             let [own, random] =
@@ -447,7 +450,7 @@ impl Run<'_> {
     }
 
     /// How much the ways that points of validation scenes can go differ from those the features tell.
-    fn motion(&self, seed: Seed) -> Result<Option<f32>, TrainError> {
+    fn ways(&self, seed: Seed) -> Result<Option<f32>, TrainError> {
         let learner = self.state.learner.clone().valid();
         if learner.network.heads.motion.is_none() || self.config.loss.motion == 0.0 {
             return Ok(None);

@@ -160,10 +160,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     let mut on_epoch = |report: &EpochReport<'_>| {
-        let best = if report.is_best { ", best so far" } else { "" };
-        let figure = report.validation.figure;
-        let step = report.step;
-        say(&bar, &format!("step {step}: validation mean average precision {figure:.3}{best}"));
+        say(&bar, &format!("step {}: validation {}", report.step, show_epoch(report)));
         explore(&config, report, preparers.as_deref(), &dataset, &bar)
     };
     let control = Control { stop: &stop, on_step: &mut on_step, on_epoch: &mut on_epoch };
@@ -362,6 +359,16 @@ fn show(report: &StepReport) -> String {
         }
     }
     text
+}
+
+/// What validation found: of the score only where there are trials, of the ways only if they are learnt.
+fn show_epoch(report: &EpochReport<'_>) -> String {
+    let trials: u64 = report.validation.all.iter().map(|metrics| metrics.trials).sum();
+    let best = if report.is_best { ", best so far" } else { "" };
+    let figure =
+        (trials > 0).then(|| format!("mean average precision {:.3}{best}", report.validation.figure));
+    let ways = report.ways.map(|ways| format!("ways differ by {ways:.4}"));
+    figure.into_iter().chain(ways).collect::<Vec<_>>().join(", ")
 }
 
 /// Seconds by stage, summed.
