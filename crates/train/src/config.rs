@@ -336,6 +336,7 @@ fn published_latent() -> usize {
 fn published_points() -> usize {
     10_000
 }
+
 fn is_zero(count: &usize) -> bool {
     *count == 0
 }

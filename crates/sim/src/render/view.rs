@@ -20,7 +20,7 @@ pub struct View {
 }
 
 impl View {
-    /// A view of nothing in one colour; without colours for now if there is none.
+    /// A view of nothing in one colour; without pixels of colour if there is none, which is for the caller to fill in.
     pub(super) fn empty(camera: Camera, colour: Option<[u8; 3]>) -> Self {
         let pixels = camera.size.pixels();
         Self {

@@ -160,7 +160,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         }
     };
     let mut on_epoch = |report: &EpochReport<'_>| {
-        say(&bar, &format!("step {}: validation {}", report.step, show_epoch(report)));
+        say(&bar, &show_epoch(report));
         explore(&config, report, preparers.as_deref(), &dataset, &bar)
     };
     let control = Control { stop: &stop, on_step: &mut on_step, on_epoch: &mut on_epoch };
@@ -368,7 +368,11 @@ fn show_epoch(report: &EpochReport<'_>) -> String {
     let figure =
         (trials > 0).then(|| format!("mean average precision {:.3}{best}", report.validation.figure));
     let ways = report.ways.map(|ways| format!("ways differ by {ways:.4}"));
-    figure.into_iter().chain(ways).collect::<Vec<_>>().join(", ")
+    let found: Vec<String> = figure.into_iter().chain(ways).collect();
+    if found.is_empty() {
+        return format!("step {}", report.step);
+    }
+    format!("step {}: validation {}", report.step, found.join(", "))
 }
 
 /// Seconds by stage, summed.
