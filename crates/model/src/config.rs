@@ -60,7 +60,8 @@ pub struct ModelConfig {
     pub modality: Modality,
     /// One output of every head per primitive, in this order. A list of one is the published network.
     pub primitives: Vec<Primitive>,
-    /// Width of the U-Net relative to ResNet-18's 64 channels: 1 is the paper's, 0.5 a compact one. Ignored for clouds.
+    /// Channels of the backbone relative to the published ones, ResNet-18's 64, 128, 256 and 512 or PointNet++'s: 1 is the
+    /// paper's, 0.5 a compact one.
     #[serde(default = "one")]
     pub width: f32,
     /// Numbers per pixel or point that the backbone hands to the heads. Published: 128.
@@ -132,7 +133,7 @@ impl ModelConfig {
         }
     }
 
-    /// The same with another width of the U-Net.
+    /// The same with another width of the backbone.
     #[must_use]
     pub fn with_width(self, width: f32) -> Self {
         Self { width, ..self }

@@ -55,9 +55,12 @@ impl Network {
     pub(crate) fn zeros(config: &ModelConfig, device: &Device) -> Self {
         let backbone = match config.modality {
             Modality::Rgb => Backbone::UNet(UNet::new(config.channels(), config.features, device)),
-            Modality::Cloud => {
-                Backbone::PointNet2(PointNet2::new(config.features, config.surroundings, device))
-            }
+            Modality::Cloud => Backbone::PointNet2(PointNet2::new(
+                config.width,
+                config.features,
+                config.surroundings,
+                device,
+            )),
         };
         Self { backbone, heads: Heads::new(config, device), config: config.clone() }
     }

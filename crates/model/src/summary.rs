@@ -4,7 +4,7 @@ use std::fmt;
 
 use crate::config::{Modality, ModelConfig};
 use crate::heads::{ALIGNED, HAND_VIEWS};
-use crate::pointnet::{DOWN, LEVELS, SURROUNDINGS, SURROUNDINGS_SIZES, UP, level_channels};
+use crate::pointnet::{LEVELS, SURROUNDINGS, Sizes};
 
 /// A part of a network.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -128,28 +128,30 @@ fn unet(config: &ModelConfig) -> Vec<Block> {
 }
 
 fn pointnet(config: &ModelConfig) -> Vec<Block> {
-    let channels = level_channels();
+    let sizes = Sizes::new(config.width);
+    let channels = sizes.levels();
     let mut blocks = Vec::new();
     for (i, level) in LEVELS.iter().enumerate() {
-        let count = Count::default().mlp(3 + channels[i], &DOWN[i], level.centres * level.neighbours);
+        let count = Count::default().mlp(3 + channels[i], &sizes.down[i], level.centres * level.neighbours);
         blocks.push(count.block(&format!("backbone.abstraction.{i}")));
     }
     let mut around = 0;
     if config.surroundings {
         for (i, level) in SURROUNDINGS.iter().enumerate() {
-            around += SURROUNDINGS_SIZES[2];
-            let count = Count::default().mlp(3, &SURROUNDINGS_SIZES, config.points * level.neighbours);
+            around += sizes.around[2];
+            let count = Count::default().mlp(3, &sizes.around, config.points * level.neighbours);
             blocks.push(count.block(&format!("backbone.surroundings.{i}")));
         }
     }
     for i in (0..4).rev() {
-        let below = UP.get(i + 1).map_or(channels[4], |mlp| mlp[mlp.len() - 1]);
+        let input = sizes.below(i) + channels[i] + if i == 0 { around } else { 0 };
         let rows = if i == 0 { config.points } else { LEVELS[i - 1].centres };
-        let count = Count::default().mlp(below + channels[i] + if i == 0 { around } else { 0 }, UP[i], rows);
+        let count = Count::default().mlp(input, &sizes.up[i], rows);
         blocks.push(count.block(&format!("backbone.propagation.{i}")));
     }
-    let last = UP[0][UP[0].len() - 1];
-    blocks.push(Count::default().linear(last, config.features, 2, config.points).block("backbone.head"));
+    blocks.push(
+        Count::default().linear(sizes.finest(), config.features, 2, config.points).block("backbone.head"),
+    );
     blocks
 }
 
@@ -171,10 +173,11 @@ fn heads(config: &ModelConfig) -> Vec<Block> {
         head(f + 6, p * z).linear(h, p * z, 1, rows).block("heads.proposal.encoder"),
     ];
     if config.second_look {
-        let seen = HAND_VIEWS.len() * SURROUNDINGS_SIZES[2];
-        let views = HAND_VIEWS.iter().fold(head(f + 6 + a + seen, p), |count, view| {
-            count.mlp(3, &SURROUNDINGS_SIZES, rows * view.points)
-        });
+        let around = Sizes::new(config.width).around;
+        let seen = HAND_VIEWS.len() * around[2];
+        let views = HAND_VIEWS
+            .iter()
+            .fold(head(f + 6 + a + seen, p), |count, view| count.mlp(3, &around, rows * view.points));
         blocks.push(views.block("heads.second_look"));
     }
     if config.ways.is_some() {

@@ -61,7 +61,7 @@ pub struct NetworkConfig {
     /// One output of each head for every one of these.
     #[serde(default = "all_primitives")]
     pub primitives: Vec<Primitive>,
-    /// Width of the U-Net; 1 is the paper's.
+    /// Width of the backbone; 1 is the paper's.
     #[serde(default = "one")]
     pub width: f32,
     /// Hidden units of each head; the paper's is 128.
@@ -430,9 +430,7 @@ impl TrainConfig {
     pub fn model(&self) -> ModelConfig {
         let n = &self.network;
         let mut model = ModelConfig::new(n.modality, &n.primitives).with_points(n.points);
-        if n.modality == Modality::Rgb {
-            model.width = n.width;
-        }
+        model.width = n.width;
         model.name.clone_from(&self.name);
         model.hidden = n.hidden;
         model.actionability_hidden = n.actionability_hidden;

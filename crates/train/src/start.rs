@@ -48,12 +48,13 @@ pub(crate) fn first_weights(
         return Ok(Learner::new(network, &config.loss, seed));
     };
     let network = Weights::load(folder, device)?.network;
-    // What does not change the shape of any parameter may differ, a second look and the ways may be added, and the
-    // actionability may be of another size: then it is learnt anew.
+    // What does not change the shape of any parameter may differ, a second look and the ways may be added, the backbone may
+    // be wider, and the actionability may be of another size: then it is learnt anew.
     let found = network.config().clone();
     let comparable = ModelConfig {
         name: model.name.clone(),
         points: model.points,
+        width: found.width.max(model.width),
         preprocessing: model.preprocessing.clone(),
         actionability_hidden: model.actionability_hidden,
         second_look: found.second_look || model.second_look,
@@ -65,6 +66,14 @@ pub(crate) fn first_weights(
     }
     if network.config().hidden_of_actionability() != model.hidden_of_actionability() {
         tracing::info!("{}: the actionability has another size and starts at random", folder.display());
+    }
+    if network.config().width != model.width {
+        tracing::info!(
+            "{}: of width {}, widened to {}",
+            folder.display(),
+            network.config().width,
+            model.width
+        );
     }
     let network = Network::new(model, seed, device).with_tensors_of(&network)?;
     Ok(Learner::new(network, &config.loss, seed))

@@ -9,7 +9,7 @@ use where2act_kernels::points::{Bounds, Frame};
 use super::SplitLinear;
 use crate::config::ModelConfig;
 use crate::layers::{leaky, linear};
-use crate::pointnet::{Grouping, Surroundings};
+use crate::pointnet::{Grouping, Sizes, Surroundings};
 
 /// What a hand looks at: points of the scan in a box around the contact point, in the hand's frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,7 +35,7 @@ pub const HAND_VIEWS: [HandView; 2] = [
 pub struct SecondLook {
     /// A description of each of the [`HAND_VIEWS`].
     pub views: Surroundings,
-    /// Weight `[features + 6 + alignments + 128, hidden]`.
+    /// Weight `[features + 6 + alignments + 2 * around, hidden]`.
     pub mlp1: SplitLinear,
     /// Weight `[hidden, primitives]`.
     pub mlp2: Linear,
@@ -43,7 +43,7 @@ pub struct SecondLook {
 
 impl SecondLook {
     pub(crate) fn new(config: &ModelConfig, device: &Device) -> Self {
-        let views = Surroundings::new(HAND_VIEWS.len(), device);
+        let views = Surroundings::new(HAND_VIEWS.len(), &Sizes::new(config.width).around, device);
         let others = 6 + config.alignments + views.channels();
         Self {
             views,

@@ -75,6 +75,11 @@ impl PointMlp {
         Self { layers: before.zip(sizes).map(|(i, o)| MlpLayer::new(*i, *o, device)).collect() }
     }
 
+    /// Numbers that come out of the last layer.
+    pub(crate) fn outputs(&self) -> usize {
+        self.layers.last().map_or(0, |layer| layer.linear.weight.dims()[1])
+    }
+
     /// All layers, the first as [`MlpLayer::forward_with`].
     pub(crate) fn forward_with(&self, product: impl FnOnce(Tensor<2>) -> Tensor<2>) -> Tensor<2> {
         let first = self.layers[0].forward_with(product);

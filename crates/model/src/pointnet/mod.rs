@@ -1,4 +1,4 @@
-//! PointNet++ with single-scale grouping (Qi et al., 2017) in the published sizes, for scans.
+//! PointNet++ with single-scale grouping (Qi et al., 2017) for scans.
 
 mod abstraction;
 mod hierarchy;
@@ -13,19 +13,49 @@ pub use abstraction::Abstraction;
 pub use hierarchy::{Grouping, Hierarchy, Interpolation, LEVELS, Level, SURROUNDINGS};
 pub use mlp::{MlpLayer, PointMlp};
 pub use propagation::Propagation;
-pub(crate) use surroundings::SIZES as SURROUNDINGS_SIZES;
 pub use surroundings::Surroundings;
 
-/// Sizes of the shared MLPs of the four steps down, without their inputs (published).
-pub(crate) const DOWN: [[usize; 3]; 4] = [[32, 32, 64], [64, 64, 128], [128, 128, 256], [256, 256, 512]];
-/// Sizes of the shared MLPs of the four steps up, the finest first, without their inputs (published).
-pub(crate) const UP: [&[usize]; 4] = [&[128, 128, 128], &[256, 128], &[256, 256], &[256, 256]];
 /// Channels of the input points: their coordinates once more.
 pub(crate) const INPUT_CHANNELS: usize = 3;
 
-/// Channels beside the points of every level: the input's, then what each step down says.
-pub(crate) fn level_channels() -> [usize; 5] {
-    [INPUT_CHANNELS, DOWN[0][2], DOWN[1][2], DOWN[2][2], DOWN[3][2]]
+/// Sizes of the shared MLPs, without their inputs.
+pub(crate) struct Sizes {
+    /// Of the four steps down, the finest first.
+    pub(crate) down: [[usize; 3]; 4],
+    /// Of the four steps up, the finest first.
+    pub(crate) up: [Vec<usize>; 4],
+    /// Of what looks at surroundings, of a point or of a hand; not in the published network.
+    pub(crate) around: [usize; 3],
+}
+
+impl Sizes {
+    /// The sizes of width 1, which are the published ones, times the width.
+    pub(crate) fn new(width: f32) -> Self {
+        let times = |size: usize| (size as f32 * width).round() as usize;
+        let down = [[32, 32, 64], [64, 64, 128], [128, 128, 256], [256, 256, 512]];
+        let up: [&[usize]; 4] = [&[128, 128, 128], &[256, 128], &[256, 256], &[256, 256]];
+        Self {
+            down: down.map(|sizes| sizes.map(times)),
+            up: up.map(|sizes| sizes.iter().copied().map(times).collect()),
+            around: [32, 32, 64].map(times),
+        }
+    }
+
+    /// Channels beside the points of every level: the input's, then what each step down says.
+    pub(crate) fn levels(&self) -> [usize; 5] {
+        let [a, b, c, d] = self.down.map(|[.., last]| last);
+        [INPUT_CHANNELS, a, b, c, d]
+    }
+
+    /// Channels of what the step up from level `level + 1` to `level` interpolates.
+    pub(crate) fn below(&self, level: usize) -> usize {
+        self.up.get(level + 1).and_then(|sizes| sizes.last().copied()).unwrap_or(self.levels()[4])
+    }
+
+    /// Channels of the last step up.
+    pub(crate) fn finest(&self) -> usize {
+        self.up[0][self.up[0].len() - 1]
+    }
 }
 
 /// PointNet++ and a last layer to the features.
@@ -44,20 +74,20 @@ pub struct PointNet2 {
 impl PointNet2 {
     /// A network with all weights zero.
     #[must_use]
-    pub fn new(features: usize, with_surroundings: bool, device: &Device) -> Self {
-        let channels = level_channels();
-        let surroundings = with_surroundings.then(|| Surroundings::new(SURROUNDINGS.len(), device));
+    pub fn new(width: f32, features: usize, with_surroundings: bool, device: &Device) -> Self {
+        let sizes = Sizes::new(width);
+        let channels = sizes.levels();
+        let surroundings =
+            with_surroundings.then(|| Surroundings::new(SURROUNDINGS.len(), &sizes.around, device));
         let around = surroundings.as_ref().map_or(0, Surroundings::channels);
-        let abstraction = (0..4).map(|i| Abstraction::new(channels[i], &DOWN[i], device)).collect();
+        let abstraction = (0..4).map(|i| Abstraction::new(channels[i], &sizes.down[i], device)).collect();
         let propagation = (0..4)
             .map(|i| {
-                let below = UP.get(i + 1).map_or(channels[4], |mlp| mlp[mlp.len() - 1]);
                 let skip = channels[i] + if i == 0 { around } else { 0 };
-                Propagation::new(below, skip, UP[i], device)
+                Propagation::new(sizes.below(i), skip, &sizes.up[i], device)
             })
             .collect();
-        let last = UP[0][UP[0].len() - 1];
-        Self { abstraction, surroundings, propagation, head: MlpLayer::new(last, features, device) }
+        Self { abstraction, surroundings, propagation, head: MlpLayer::new(sizes.finest(), features, device) }
     }
 
     /// Features of every point, with the points themselves as the full scan.
@@ -109,7 +139,8 @@ impl PointNet2 {
                 features = Some(step.forward(coarse, skip, interpolation));
             }
         }
-        let nothing = || Tensor::zeros([hierarchy.targets().len() / 3, UP[0][0]], device);
+        let [inputs, _] = self.head.linear.weight.dims();
+        let nothing = || Tensor::zeros([hierarchy.targets().len() / 3, inputs], device);
         self.head.forward(features.unwrap_or_else(nothing))
     }
 }

@@ -6,9 +6,6 @@ use burn::tensor::{Device, Tensor, TensorData};
 use super::hierarchy::Grouping;
 use super::mlp::PointMlp;
 
-/// Sizes of the shared MLPs.
-pub(crate) const SIZES: [usize; 3] = [32, 32, 64];
-
 /// For each kind of neighbourhood a shared MLP over the scan's points in it, then their maximum. The hierarchy sees a scan
 /// at a spacing of centimetres, which blurs the gap behind a handle; this does not.
 #[derive(Module, Debug)]
@@ -18,19 +15,19 @@ pub struct Surroundings {
 }
 
 impl Surroundings {
-    pub(crate) fn new(kinds: usize, device: &Device) -> Self {
-        Self { mlps: (0..kinds).map(|_| PointMlp::new(3, &SIZES, device)).collect() }
+    pub(crate) fn new(kinds: usize, sizes: &[usize; 3], device: &Device) -> Self {
+        Self { mlps: (0..kinds).map(|_| PointMlp::new(3, sizes, device)).collect() }
     }
 
     /// Numbers that describe one place.
     pub(crate) fn channels(&self) -> usize {
-        self.mlps.len() * SIZES[2]
+        self.mlps.iter().map(PointMlp::outputs).sum()
     }
 
     /// Zeros where nobody looked: as far as the network can tell, such places are alone.
     ///
     /// # Shapes
-    /// -> `[places, 64 * kinds]`
+    /// -> `[places, channels]`
     pub(crate) fn forward(&self, around: &[Grouping], places: usize, device: &Device) -> Tensor<2> {
         if around.is_empty() {
             return Tensor::zeros([places, self.channels()], device);

@@ -6,6 +6,7 @@ use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::Tensor;
 
 use super::names::Path;
+use super::widen::widened;
 use super::{StoredTensor, Tensors, WeightsError};
 use crate::init::replace;
 use crate::network::Network;
@@ -30,7 +31,8 @@ impl Network {
     }
 
     /// This network with the parameters of another one. Blocks that it lacks stay as they are, and so does the actionability
-    /// if its hidden layer has another size there.
+    /// if its hidden layer has another size there. The other one's backbone may be narrower: this network then says what it
+    /// says (Net2Net, Chen et al., 2016), and its further channels are as they were, but nothing heeds them yet.
     ///
     /// # Errors
     /// As [`Self::with_tensors`], but for missing tensors.
@@ -38,6 +40,9 @@ impl Network {
         let mut tensors = other.tensors();
         if other.config().hidden_of_actionability() != self.config().hidden_of_actionability() {
             tensors.by_name.retain(|name, _| !name.starts_with("heads.actionability."));
+        }
+        if other.config().width < self.config().width {
+            tensors = widened(&tensors, other.config(), &self.tensors(), self.config());
         }
         self.assign(&tensors, |_| false)
     }

@@ -8,6 +8,7 @@ pub(crate) mod names;
 mod tensors;
 #[cfg(all(test, feature = "train"))]
 mod tests;
+mod widen;
 
 use std::io;
 use std::path::PathBuf;

@@ -7,7 +7,9 @@ use where2act_core::{Primitive, Seed};
 
 use super::*;
 use crate::config::{Modality, ModelConfig};
+use crate::heads::HAND_VIEWS;
 use crate::network::{Input, Network};
+use crate::pointnet::Grouping;
 
 fn small() -> ModelConfig {
     ModelConfig::new(Modality::Rgb, &Primitive::ALL[..2]).with_width(0.0625)
@@ -40,6 +42,77 @@ fn a_folder_survives_the_disk_in_both_precisions() {
                 }
             }
         }
+    }
+}
+
+/// Running statistics and all else that are not what they were drawn as.
+fn trained(config: &ModelConfig) -> Network {
+    let network = Network::new(config, Seed(1), &Device::flex());
+    let mut tensors = network.tensors();
+    for (n, tensor) in tensors.by_name.values_mut().enumerate() {
+        for (i, x) in tensor.values.iter_mut().enumerate() {
+            *x += 0.05 * (1.0 + ((i + n) as f32).sin());
+        }
+    }
+    network.with_tensors(&tensors).unwrap()
+}
+
+#[test]
+fn a_wider_network_says_what_the_narrower_one_says() {
+    let device = Device::flex();
+    let random = |shape: [usize; 3]| {
+        let values = (0..shape.iter().product()).map(|i: usize| (i as f32 * 1.7).sin()).collect::<Vec<_>>();
+        Tensor::<3>::from_data(burn::tensor::TensorData::new(values, shape), &device)
+    };
+    let near = |a: Tensor<3>, b: Tensor<3>| {
+        let [a, b] = [a, b].map(|x| x.into_data().try_to_vec::<f32>().unwrap());
+        let scale = a.iter().fold(0.0f32, |max, x| max.max(x.abs()));
+        assert!(scale > 1e-3);
+        assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-4 * scale));
+    };
+    let of_scans = |surroundings| ModelConfig {
+        surroundings,
+        second_look: true,
+        alignments: 3,
+        ..ModelConfig::new(Modality::Cloud, &Primitive::ALL[..2]).with_width(0.25)
+    };
+    for config in [small(), of_scans(false), of_scans(true)] {
+        let narrow = trained(&config);
+        let wider = config.clone().with_width(1.5 * config.width);
+        let fresh = Network::new(&wider, Seed(2), &device);
+        let wide = fresh.clone().with_tensors_of(&narrow).unwrap();
+        match config.modality {
+            Modality::Rgb => {
+                let pictures = random([3, 64, 64]).reshape([1, 3, 64, 64]);
+                near(narrow.features_rgb(pictures.clone()), wide.features_rgb(pictures));
+            }
+            Modality::Cloud => {
+                let points = random([2, 300, 3]) * 0.3;
+                near(narrow.features_cloud(points.clone()), wide.features_cloud(points));
+                let around = HAND_VIEWS.map(|view| Grouping {
+                    rows: (0..2 * view.points as i64).collect(),
+                    offsets: (0..6 * view.points).map(|i| 0.05 * (i as f32).cos()).collect(),
+                    neighbours: view.points,
+                });
+                let [narrow, wide] = [&narrow, &wide].map(|network| {
+                    let look = network.heads.second_look.as_ref().unwrap();
+                    let [features, hands] =
+                        [config.features, 6 + config.alignments].map(|n| random([1, 2, n]).squeeze());
+                    look.forward(features, hands, &around).unsqueeze()
+                });
+                near(narrow, wide);
+            }
+        }
+        // New channels are as they were drawn: neither zeros nor copies.
+        let (drawn, wide) = (fresh.tensors(), wide.tensors());
+        for (name, tensor) in narrow.tensors().by_name {
+            let (drawn, wide) = (&drawn.by_name[&name], &wide.by_name[&name]);
+            assert_eq!(drawn.shape, wide.shape);
+            let row = wide.values.len() / wide.shape[0];
+            let new = tensor.shape[0] * row..;
+            assert_eq!(drawn.values[new.clone()], wide.values[new], "{name}");
+        }
+        assert!(matches!(narrow.with_tensors_of(&fresh), Err(WeightsError::Shape { .. })));
     }
 }
 
