@@ -113,8 +113,6 @@ pub struct Source {
     pub dataset: Arc<Dataset>,
     /// Scenes to draw from.
     pub scenes: Arc<[SceneId]>,
-    /// Scenes without trials, for [`BatchConfig::untried`] views of a step.
-    pub untried: Arc<[SceneId]>,
     /// Newer trials on the same scenes.
     pub replay: Arc<Replay>,
     /// What is trained.
@@ -128,8 +126,7 @@ pub struct Source {
 }
 
 impl Source {
-    /// A source for a phase of a run. Looking takes any of the scenes; all else those with trials, older or newer, and some
-    /// of the others.
+    /// A source for a phase of a run. Looking takes any of the scenes; all else needs those with trials, older or newer.
     #[must_use]
     pub fn new(
         dataset: Arc<Dataset>,
@@ -139,28 +136,32 @@ impl Source {
         phase: Phase,
     ) -> Self {
         let (model, mut batch, seed) = (config.model(), config.batch.clone(), config.root_seed());
-        let newer = replay.scenes();
-        let is_tried = |id: &SceneId| dataset.is_tried(*id) || newer.contains(id);
-        let (scenes, untried): (Vec<SceneId>, Vec<SceneId>) = if phase == Phase::Look {
+        let scenes = if phase == Phase::Look {
             batch.places_per_view = batch.looks_per_view;
-            (scenes.to_vec(), Vec::new())
+            scenes.into()
         } else {
-            scenes.iter().copied().partition(is_tried)
+            let newer = replay.scenes();
+            scenes.iter().copied().filter(|id| dataset.is_tried(*id) || newer.contains(id)).collect()
         };
-        if untried.is_empty() {
-            batch.untried = 0;
-        }
-        let (scenes, untried) = (scenes.into(), untried.into());
-        Self { dataset, scenes, untried, replay, model, config: batch, seed, teacher: None }
+        Self { dataset, scenes, replay, model, config: batch, seed, teacher: None }
     }
 
-    /// Scenes of a step, those without trials last.
+    /// Scenes of a step: every scene comes once before any comes again, in an order that changes every time.
     #[must_use]
     pub fn scenes_of(&self, step: usize) -> Vec<SceneId> {
-        let tried = self.config.views - self.config.untried;
-        let mut scenes = turn(&self.scenes, step, tried, self.seed);
-        scenes.extend(turn(&self.untried, step, self.config.untried, self.seed.child("untried", 0)));
-        scenes
+        let n = self.scenes.len();
+        let mut order: Option<(usize, Vec<usize>)> = None;
+        (step * self.config.views..(step + 1) * self.config.views)
+            .map(|position| {
+                let (round, place) = (position / n, position % n);
+                if order.as_ref().is_none_or(|(r, _)| *r != round) {
+                    let mut shuffled: Vec<usize> = (0..n).collect();
+                    shuffled.shuffle(&mut self.seed.child("order", round as u64).rng());
+                    order = Some((round, shuffled));
+                }
+                self.scenes[order.as_ref().map_or(place, |(_, shuffled)| shuffled[place])]
+            })
+            .collect()
     }
 
     /// The batch of a step.
@@ -228,24 +229,6 @@ impl Source {
         }
         Ok(view)
     }
-}
-
-/// The scenes whose turn it is in a step that takes so many: every scene comes once before any comes again, in an order that
-/// changes every time.
-fn turn(scenes: &[SceneId], step: usize, count: usize, seed: Seed) -> Vec<SceneId> {
-    let n = scenes.len();
-    let mut order: Option<(usize, Vec<usize>)> = None;
-    (step * count..(step + 1) * count)
-        .map(|position| {
-            let (round, place) = (position / n, position % n);
-            if order.as_ref().is_none_or(|(r, _)| *r != round) {
-                let mut shuffled: Vec<usize> = (0..n).collect();
-                shuffled.shuffle(&mut seed.child("order", round as u64).rng());
-                order = Some((round, shuffled));
-            }
-            scenes[order.as_ref().map_or(place, |(_, shuffled)| shuffled[place])]
-        })
-        .collect()
 }
 
 /// What the scene knows of what is seen at some pixels. Nobody knows where the scanner measured nothing, nor the ways in

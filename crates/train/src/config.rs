@@ -103,10 +103,6 @@ pub struct NetworkConfig {
 pub struct BatchConfig {
     /// Views of a step.
     pub views: usize,
-    /// How many of them show scenes without trials, as far as there are such, in steps that learn from trials: there only
-    /// places are asked about, and the teacher has its say. Not in the published method.
-    #[serde(skip_serializing_if = "is_zero")]
-    pub untried: usize,
     /// Trials of a view at most; successes and failures of each primitive half and half as far as they last.
     pub trials_per_view: usize,
     /// Free negatives per trial: the same trial with the approach flipped cannot succeed. The paper adds one each.
@@ -257,7 +253,6 @@ impl Default for BatchConfig {
     fn default() -> Self {
         Self {
             views: 8,
-            untried: 0,
             trials_per_view: 48,
             flipped: 0.25,
             fixed: 0.0,
@@ -336,11 +331,6 @@ fn published_latent() -> usize {
 fn published_points() -> usize {
     10_000
 }
-
-fn is_zero(count: &usize) -> bool {
-    *count == 0
-}
-
 fn published_candidates() -> usize {
     30_000
 }
@@ -487,8 +477,6 @@ impl TrainConfig {
             check(is_weight, "teacher.weight", weight.to_string(), "more than 0")?;
         }
         check((1..=1024).contains(&batch.views), "batch.views", batch.views.to_string(), "1 to 1024")?;
-        let untried = batch.untried;
-        check(untried < batch.views, "batch.untried", untried.to_string(), "less than batch.views")?;
         let trials = batch.trials_per_view;
         check((1..=100_000).contains(&trials), "batch.trials_per_view", trials.to_string(), "1 to 100000")?;
         check((0.0..=10.0).contains(&batch.flipped), "batch.flipped", batch.flipped.to_string(), "0 to 10")?;

@@ -78,7 +78,10 @@ pub enum TrainError {
         path: PathBuf,
     },
     /// The weights to start from are another network's.
-    #[error("{}: these weights are of another network, expected one with the configuration's [network]", path.display())]
+    #[error(
+        "{}: these weights are of another network, expected one with the configuration's [network], or a narrower one",
+        path.display()
+    )]
     OtherNetwork {
         /// The weights' folder.
         path: PathBuf,

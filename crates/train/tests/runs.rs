@@ -17,7 +17,7 @@ use where2act_train::run::{Control, Outcome, TrainError, files, train};
 use where2act_train::step::Phase;
 use where2act_train::{
     BatchConfig, CollectConfig, DataError, Dataset, Decay, LossConfig, NetworkConfig, Optimiser, Part,
-    Replay, SceneId, ScheduleConfig, TeacherConfig, TrainConfig,
+    Replay, ScheduleConfig, TeacherConfig, TrainConfig,
 };
 
 fn data(folder: &Path, scenes: u64) -> Arc<Dataset> {
@@ -196,6 +196,18 @@ fn a_run_may_start_from_weights() {
     let other = |name: &str| before.get(name) != leaner.get(name);
     let changed: Vec<_> = before.keys().filter(|name| own(name) && other(name)).collect();
     assert!(changed.iter().all(|name| name.starts_with("heads.actionability.")), "{changed:?}");
+    // A wider network begins with what a narrower one knows, and not the other way round.
+    let mut wider = further.clone();
+    wider.network.width = 1.25;
+    let (widened, _) = train_for(&wider, &data, &folder.path().join("wider"), usize::MAX).unwrap();
+    let widened = widened.weights.unwrap();
+    let name = "backbone.abstraction.0.mlp.layers.2.linear.weight";
+    let (narrow, wide) = (&before[name], &tensors(&widened)[name]);
+    assert_eq!((&narrow.shape[..], &wide.shape[..]), (&[64, 32][..], &[80, 40][..]));
+    assert_eq!(narrow.values[..32], wide.values[..32]);
+    let narrower = TrainConfig { from: Some(widened.clone()), ..further.clone() };
+    let error = train_for(&narrower, &data, &folder.path().join("narrower"), 1).unwrap_err();
+    assert!(matches!(&error, TrainError::OtherNetwork { path } if *path == widened), "{error}");
     let mut other = further;
     other.network.hidden = 48;
     let error = train_for(&other, &data, &folder.path().join("other"), 1).unwrap_err();
@@ -348,25 +360,6 @@ fn one_run_looks_at_all_scenes_and_then_learns_from_those_with_trials() {
     replay.add(untried, data.shards()[0].trials(0).unwrap());
     let newly: Vec<_> = tried.iter().chain([&untried]).copied().collect();
     assert_eq!(scenes_of(Phase::Joint, &replay), newly);
-
-    // One view of each step shows a scene that nobody has tried, each once before any comes again.
-    config.batch = BatchConfig { views: 3, untried: 1, ..config.batch };
-    let source = |scenes: &[SceneId], phase| {
-        Source::new(data.clone(), scenes, Arc::new(replay.clone()), &config, phase)
-    };
-    let joint = source(&all, Phase::Joint);
-    let rest: Vec<_> = all.iter().copied().filter(|id| !newly.contains(id)).collect();
-    let steps: Vec<_> = (0..rest.len()).map(|step| joint.scenes_of(step)).collect();
-    assert!(steps.iter().all(|scenes| scenes[..2].iter().all(|id| newly.contains(id)) && scenes.len() == 3));
-    assert!(rest.iter().all(|id| steps.iter().filter(|scenes| scenes[2] == *id).count() == 1));
-    let queries = joint.batch(0).unwrap().queries;
-    assert!(queries.places[..queries.trials()].iter().all(|(view, _)| *view < 2));
-    assert!(queries.places.iter().any(|(view, _)| *view == 2));
-    // Looking takes all scenes alike, and where all were tried there are no others to show.
-    assert!(
-        source(&all, Phase::Look).untried.is_empty() && source(&all, Phase::Look).scenes_of(0).len() == 3
-    );
-    assert!(source(&newly, Phase::Joint).scenes_of(0).len() == 3);
 
     // The rate falls twice, and looking ends inside an epoch.
     let full = config.schedule.rate;

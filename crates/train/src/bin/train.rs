@@ -63,7 +63,8 @@ struct Args {
     /// Another seed than the configuration's.
     #[arg(long)]
     seed: Option<u64>,
-    /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own.
+    /// Weights to start from instead of random ones, e.g. weights/cloud, to go on with objects of your own. They may be of a
+    /// narrower network (network.width), whose knowledge this one then begins with.
     #[arg(long)]
     from: Option<PathBuf>,
     /// Folder of an earlier run on the same data, or its first folders, of either modality, to begin with the trials that it
