@@ -81,10 +81,6 @@ impl Blocked {
     pub fn width(&self) -> usize {
         self.width
     }
-    /// Bytes of memory held.
-    pub fn capacity_bytes(&self) -> usize {
-        self.data.capacity_bytes()
-    }
 
     /// Blocks of 16 channels.
     pub(crate) fn blocks(&self) -> usize {

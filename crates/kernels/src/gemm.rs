@@ -79,10 +79,6 @@ impl Panels {
     pub(crate) fn isa(&self) -> Isa {
         self.isa
     }
-    /// Bytes of packed weights.
-    pub(crate) fn bytes(&self) -> usize {
-        self.data.capacity_bytes()
-    }
 }
 
 /// Two bf16 in the place of an f32, the first in its lower half.

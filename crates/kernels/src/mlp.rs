@@ -52,7 +52,7 @@ struct Layer {
 /// is computed once and looked up here.
 #[derive(Clone, Copy, Debug)]
 pub struct Lookup<'a> {
-    /// `[any, outputs of the first layer]`.
+    /// `[any, outputs of the first layer]`, which must be a multiple of 16.
     pub table: &'a [f32],
     /// `[rows, each]`: which rows of the table.
     pub rows: &'a [i64],
@@ -159,7 +159,7 @@ impl Lookup<'_> {
         if let Some(weights) = self.weights {
             ShapeError::check("weights of a lookup", rows * self.each, weights.len())?;
         }
-        // Tables come from other layers, whose outputs are stored without padding.
+        // Whole blocks are added, and tables come from other layers, whose outputs are stored without padding.
         ShapeError::check("looked up values beyond whole blocks", 0, self.table.len() % width.max(1))?;
         let size = (self.table.len() / width.max(1)) as i64;
         let outside = self.rows.iter().filter(|row| !(0..size).contains(*row)).count();

@@ -206,18 +206,6 @@ impl UNet {
         self.head.outputs()
     }
 
-    /// Bytes of packed weights.
-    pub fn weight_bytes(&self) -> usize {
-        let block = |b: &Block| {
-            b.first.weight_bytes() + b.second.weight_bytes() + b.around.as_ref().map_or(0, Conv::weight_bytes)
-        };
-        let levels: usize = self.levels.iter().flatten().map(block).sum();
-        let up = |u: &Up| {
-            u.up.weight_bytes() + u.second.weight_bytes() + u.skip.as_ref().map_or(0, Conv::weight_bytes)
-        };
-        self.stem.weight_bytes() + levels + self.ups.iter().map(up).sum::<usize>() + self.head.weight_bytes()
-    }
-
     /// Computes the features `[images, height x width, features]` of pictures `[images, 3, height, width]`.
     ///
     /// # Errors
@@ -315,14 +303,6 @@ impl UNetMemory {
     /// The stages' times since the last time they were taken.
     pub fn take_times(&mut self) -> Vec<(&'static str, Duration)> {
         self.stages.as_mut().map(std::mem::take).unwrap_or_default()
-    }
-
-    /// Bytes held.
-    pub fn capacity_bytes(&self) -> usize {
-        let maps = self.down.iter().chain([&self.split, &self.inner, &self.up]);
-        maps.map(Blocked::capacity_bytes).sum::<usize>()
-            + self.picture.capacity_bytes()
-            + self.workspace.capacity_bytes()
     }
 }
 

@@ -23,7 +23,8 @@ fn main() {
         Some("cloud") => Modality::Cloud,
         _ => Modality::Rgb,
     };
-    let (width, batch, blocks) = (number(1, 0.5) as f32, number(2, 8.0) as usize, number(3, 3.0) as usize);
+    let usual = if modality == Modality::Rgb { 0.5 } else { 1.0 };
+    let (width, batch, blocks) = (number(1, usual) as f32, number(2, 8.0) as usize, number(3, 3.0) as usize);
     let engines: &[TrainingEngine] = if arguments.iter().any(|a| a == "fast") {
         &[TrainingEngine::Fast]
     } else {

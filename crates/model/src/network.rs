@@ -8,7 +8,6 @@ use crate::config::{Modality, ModelConfig};
 use crate::heads::Heads;
 use crate::init::draw_weights;
 use crate::pointnet::{Hierarchy, PointNet2};
-use crate::summary::Summary;
 use crate::unet::UNet;
 
 /// What looks.
@@ -92,12 +91,6 @@ impl Network {
         };
         last.bias = last.bias.take().map(|bias| bias.map(|logits| logits + shift));
         self
-    }
-
-    /// Parameters and multiply-adds, block by block.
-    #[must_use]
-    pub fn summary(&self) -> Summary {
-        Summary::new(&self.config)
     }
 
     /// Where its parameters are.

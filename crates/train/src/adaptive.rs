@@ -29,6 +29,15 @@ pub enum ExploreError {
     Predict(#[from] Error),
 }
 
+/// What online sampling brings.
+#[derive(Debug, Default)]
+pub struct Explored {
+    /// The new trials.
+    pub trials: NewTrials,
+    /// Why other scenes gave none.
+    pub failed: Vec<ExploreError>,
+}
+
 /// (trials, successes) of a policy among new trials.
 #[must_use]
 pub fn count(trials: &NewTrials, policy: Policy) -> (usize, usize) {
@@ -38,10 +47,10 @@ pub fn count(trials: &NewTrials, policy: Policy) -> (usize, usize) {
 
 /// New trials on randomly drawn scenes of `scenes`: on each of them some are the network's own best proposals and the
 /// others random, primitives taking turns. Each folder of the data has its own preparer. `progress` is called after every
-/// scene.
+/// scene. A scene that cannot be made again costs no other its trials.
 ///
 /// # Errors
-/// Any [`ExploreError`].
+/// If the network cannot predict at all.
 pub fn explore(
     network: &Network,
     preparers: &[Preparer],
@@ -50,11 +59,11 @@ pub fn explore(
     config: &AdaptiveConfig,
     seed: Seed,
     progress: &(dyn Fn() + Sync),
-) -> Result<NewTrials, ExploreError> {
+) -> Result<Explored, ExploreError> {
     let weights = Weights { network: network.clone(), sha256: String::new() };
     let predictor = Predictor::from_weights(weights, Backend::default())?;
     let drawn = index::sample(&mut seed.rng(), scenes.len(), config.scenes.min(scenes.len())).into_vec();
-    let one = |(i, scene): (usize, usize)| {
+    let one = |(i, scene): (usize, usize)| -> Result<(SceneId, Vec<Trial>), ExploreError> {
         let id = scenes[scene];
         let info = &dataset.shards()[id.shard].scenes()[id.scene];
         let prep = preparers[dataset.folder_of(id.shard)].restore(info)?;
@@ -62,7 +71,14 @@ pub fn explore(
         progress();
         Ok((id, trials))
     };
-    drawn.into_par_iter().enumerate().map(one).collect()
+    let mut explored = Explored::default();
+    for result in drawn.into_par_iter().enumerate().map(one).collect::<Vec<_>>() {
+        match result {
+            Ok(trials) => explored.trials.push(trials),
+            Err(error) => explored.failed.push(error),
+        }
+    }
+    Ok(explored)
 }
 
 fn explore_scene(

@@ -20,11 +20,12 @@ pub struct TrainConfig {
     pub seed: u64,
     /// Weights to start from instead of random ones: the folder of a network of the same shape, e.g. `weights/cloud`.
     /// It may lack a second look and the head for ways, and its actionability may be of another size; these start at random.
+    /// Its backbone may be narrower: see `Network::with_tensors_of`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<PathBuf>,
-    /// Folders of earlier runs on the same data or the first folders of it, of either modality, whose newest online trials, as many as `adaptive.buffer`
-    /// holds, this run begins with; those of the last one are the newest. Give it a seed that none of them had: with the
-    /// same one it repeats that run's random trials.
+    /// Folders of earlier runs on the same data or the first folders of it, of either modality, whose newest online trials, as
+    /// many as `adaptive.buffer` holds, this run begins with; those of the last one are the newest. Give it a seed that none
+    /// of them had: with the same one it repeats that run's random trials.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub replay: Vec<PathBuf>,
     /// A ResNet-18 under torchvision's names, safetensors or PyTorch's own format, to start the encoder of a network for
@@ -105,10 +106,11 @@ pub struct BatchConfig {
     pub views: usize,
     /// Trials of a view at most; successes and failures of each primitive half and half as far as they last.
     pub trials_per_view: usize,
-    /// Free negatives per trial: the same trial with the approach flipped cannot succeed. The paper adds one each.
+    /// Share of the trials that get a free negative: the same with the approach flipped, which cannot succeed. The paper's: 1.
     pub flipped: f32,
-    /// Free negatives per trial: the same orientation at a random place of a part that does not move or, in pictures, of the
-    /// background, a third of them right beside an outline. 0 leaves such places out altogether, as the paper does.
+    /// Share of the trials that get another: the same orientation at a random place of a part that does not move or, in
+    /// pictures, of the background, a third of them right beside an outline. 0 leaves such places out altogether, as the paper
+    /// does.
     pub fixed: f32,
     /// Share of the views that are shown mirrored.
     pub mirrored: f32,
@@ -479,14 +481,36 @@ impl TrainConfig {
         check((1..=1024).contains(&batch.views), "batch.views", batch.views.to_string(), "1 to 1024")?;
         let trials = batch.trials_per_view;
         check((1..=100_000).contains(&trials), "batch.trials_per_view", trials.to_string(), "1 to 100000")?;
-        check((0.0..=10.0).contains(&batch.flipped), "batch.flipped", batch.flipped.to_string(), "0 to 10")?;
-        check((0.0..=10.0).contains(&batch.fixed), "batch.fixed", batch.fixed.to_string(), "0 to 10")?;
-        let mirrored = batch.mirrored;
-        check((0.0..=1.0).contains(&mirrored), "batch.mirrored", mirrored.to_string(), "0 to 1")?;
-        let measured = batch.measured;
-        check((0.0..=1.0).contains(&measured), "batch.measured", measured.to_string(), "0 to 1")?;
+        for (field, share) in [
+            ("batch.flipped", batch.flipped),
+            ("batch.fixed", batch.fixed),
+            ("batch.mirrored", batch.mirrored),
+            ("batch.measured", batch.measured),
+            ("adaptive.own", self.adaptive.own),
+            ("collect.guided", self.collect.guided),
+        ] {
+            check((0.0..=1.0).contains(&share), field, share.to_string(), "0 to 1")?;
+        }
+        let looks = batch.looks_per_view;
+        let asked = looks > 0 || schedule.look_steps == 0;
+        check(
+            asked,
+            "batch.looks_per_view",
+            looks.to_string(),
+            "at least 1, as schedule.look_steps asks for looks",
+        )?;
         check(self.steps() > 0, "schedule", "0 steps".to_owned(), "at least one step")?;
+        // Proposals and actionability are learnt with all heads alone: without such steps there is nothing to keep.
+        let kept = schedule.joint_steps > 0 || schedule.score_steps == 0;
+        check(kept, "schedule.joint_steps", "0".to_owned(), "at least 1 after schedule.score_steps")?;
         check(schedule.epoch_steps > 0, "schedule.epoch_steps", "0".to_owned(), "at least 1")?;
+        let weight_decay = schedule.weight_decay;
+        let falls = (0.0..1.0).contains(&weight_decay);
+        check(falls, "schedule.weight_decay", weight_decay.to_string(), "0 or more and less than 1")?;
+        if let Decay::Step { factor, .. } = schedule.decay {
+            let falls = factor > 0.0 && factor <= 1.0;
+            check(falls, "schedule.decay.step.factor", factor.to_string(), "more than 0, at most 1")?;
+        }
         let rate = schedule.rate;
         check(rate > 0.0 && rate < 1.0, "schedule.rate", rate.to_string(), "more than 0 and less than 1")?;
         let loss = &self.loss;
@@ -516,10 +540,10 @@ impl TrainConfig {
         )?;
         let answers = loss.motion == 0.0 || self.network.ways.is_some();
         check(answers, "network.ways", "none".to_owned(), "a number, as loss.motion asks for ways")?;
-        let own = self.adaptive.own;
-        check((0.0..=1.0).contains(&own), "adaptive.own", own.to_string(), "0 to 1")?;
-        let guided = self.collect.guided;
-        check((0.0..=1.0).contains(&guided), "collect.guided", guided.to_string(), "0 to 1")
+        let AdaptiveConfig { enabled, trials, buffer, .. } = self.adaptive;
+        let holds = !enabled || buffer >= trials;
+        check(holds, "adaptive.buffer", buffer.to_string(), "at least adaptive.trials")?;
+        check(self.collect.scenes > 0, "collect.scenes", "0".to_owned(), "at least 1")
     }
 }
 
@@ -566,6 +590,12 @@ mod tests {
             ("[loss]\nkl = -1.0\n", "loss.kl"),
             ("look_steps = 3\n", "schedule.look_steps"),
             ("[collect]\nguided = 2.0\n", "collect.guided"),
+            ("[batch]\nflipped = 3.0\n", "batch.flipped"),
+            ("look_steps = 3\n[loss]\nnormal = 1.0\n[batch]\nlooks_per_view = 0\n", "batch.looks_per_view"),
+            ("weight_decay = -1.0\n", "schedule.weight_decay"),
+            ("decay = { step = { steps = 3, factor = 1.5 } }\n", "schedule.decay.step.factor"),
+            ("[adaptive]\nenabled = true\nbuffer = 3\n", "adaptive.buffer"),
+            ("[collect]\nscenes = 0\n", "collect.scenes"),
         ] {
             let error = load(&(minimal() + extra)).unwrap_err().to_string();
             assert!(error.contains(named) && !error.contains('\n'), "{error}");

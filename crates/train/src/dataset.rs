@@ -201,15 +201,11 @@ impl Dataset {
         Ok(counts)
     }
 
-    /// Counts trials and checks that each of the primitives succeeds at least once.
+    /// Checks that each of the primitives succeeds at least once.
     ///
     /// # Errors
     /// [`DataError::NoSuccess`].
-    pub fn require_successes(
-        &self,
-        scenes: &[SceneId],
-        primitives: &[Primitive],
-    ) -> Result<Counts, DataError> {
+    pub fn require_successes(&self, scenes: &[SceneId], primitives: &[Primitive]) -> Result<(), DataError> {
         let counts = self.counts(scenes)?;
         for &primitive in primitives {
             if counts.successes[primitive as usize] == 0 {
@@ -217,6 +213,6 @@ impl Dataset {
                 return Err(DataError::NoSuccess { folders: self.show_folders(), primitive, trials });
             }
         }
-        Ok(counts)
+        Ok(())
     }
 }

@@ -36,4 +36,5 @@ pub use config::{
 pub use dataset::{Counts, DataError, Dataset, Folder, SceneId};
 pub use replay::Replay;
 pub use split::Part;
+pub use start::first_weights;
 pub use validate::{Validation, score_record, validate};

@@ -23,7 +23,7 @@ use crate::curves::{self, CurvesError};
 use crate::dataset::{DataError, Dataset, SceneId};
 use crate::replay::Replay;
 use crate::split::Part;
-use crate::start::{first_trials, first_weights, manifests, optimiser, with_scan_radius};
+use crate::start::{first_trials, first_weights, manifests, optimiser, random_weights, with_scan_radius};
 use crate::step::{Losses, Phase, forward};
 use crate::teacher::Teacher;
 use crate::validate::{Validation, validate};
@@ -78,13 +78,16 @@ pub enum TrainError {
         path: PathBuf,
     },
     /// The weights to start from are another network's.
-    #[error(
-        "{}: these weights are of another network, expected one with the configuration's [network], or a narrower one",
-        path.display()
-    )]
+    #[error("{}: these weights are of another network: {field} is {found}, expected {expected}", path.display())]
     OtherNetwork {
         /// The weights' folder.
         path: PathBuf,
+        /// The first field of the network's description that differs.
+        field: String,
+        /// What it is in the weights' description.
+        found: String,
+        /// What the configuration makes of it.
+        expected: String,
     },
     /// The teacher cannot teach this network.
     #[error(
@@ -258,14 +261,20 @@ pub fn train<'a>(
     let _lock = lock(out)?;
     let fingerprint = prepare_folder(config, &dataset, out)?;
     let model = with_scan_radius(config, &dataset, &train_scenes)?;
+    let checkpoints = out.join(files::CHECKPOINTS);
+    let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
+    let learning = device.clone().autodiff();
+    let learner = match &newest {
+        // A checkpoint has all weights; those that the run began with may be gone.
+        Some(_) => random_weights(config, &model, &learning),
+        None => first_weights(config, &model, &learning)?,
+    };
     let fresh = State {
-        learner: first_weights(config, &model, &device.clone().autodiff())?,
+        learner,
         optimiser: optimiser(config),
         replay: Replay::default(),
         progress: Progress { fingerprint: fingerprint.clone(), ..Progress::default() },
     };
-    let checkpoints = out.join(files::CHECKPOINTS);
-    let newest = checkpoint::list(&checkpoints).map_err(|e| io(&checkpoints, e))?.pop();
     let mut state = match &newest {
         Some(path) => checkpoint::load(path, fresh)?,
         None => State { replay: first_trials(config, &dataset)?, ..fresh },

@@ -32,20 +32,29 @@ pub(crate) fn optimiser(config: &TrainConfig) -> ModuleOptimizer {
     }
 }
 
-/// The weights to start from: those that the configuration names, or random ones, with the encoder that it names.
-pub(crate) fn first_weights(
+/// Weights that depend on the run's seed alone.
+pub(crate) fn random_weights(config: &TrainConfig, model: &ModelConfig, device: &Device) -> Learner {
+    let seed = config.root_seed().child("weights", 0);
+    Learner::new(Network::new(model, seed, device), &config.loss, seed)
+}
+
+/// The weights to start from: those that the configuration names, or random ones, with the encoder that it names. `model` is
+/// the configuration's network.
+///
+/// # Errors
+/// [`TrainError::Weights`] if they cannot be read or do not fit, [`TrainError::OtherNetwork`] if they are of a network that
+/// this one cannot begin as.
+pub fn first_weights(
     config: &TrainConfig,
     model: &ModelConfig,
     device: &Device,
 ) -> Result<Learner, TrainError> {
-    let seed = config.root_seed().child("weights", 0);
+    let mut learner = random_weights(config, model, device);
     let Some(folder) = &config.from else {
-        let random = Network::new(model, seed, device);
-        let network = match &config.encoder {
-            Some(file) => random.with_resnet18(file)?,
-            None => random,
-        };
-        return Ok(Learner::new(network, &config.loss, seed));
+        if let Some(file) = &config.encoder {
+            learner.network = learner.network.with_resnet18(file)?;
+        }
+        return Ok(learner);
     };
     let network = Weights::load(folder, device)?.network;
     // What does not change the shape of any parameter may differ, a second look and the ways may be added, the backbone may
@@ -61,8 +70,8 @@ pub(crate) fn first_weights(
         ways: model.ways.or(found.ways),
         ..found
     };
-    if comparable != *model {
-        return Err(TrainError::OtherNetwork { path: folder.clone() });
+    if let Some([field, found, expected]) = difference(&comparable, model) {
+        return Err(TrainError::OtherNetwork { path: folder.clone(), field, found, expected });
     }
     if network.config().hidden_of_actionability() != model.hidden_of_actionability() {
         tracing::info!("{}: the actionability has another size and starts at random", folder.display());
@@ -75,8 +84,23 @@ pub(crate) fn first_weights(
             model.width
         );
     }
-    let network = Network::new(model, seed, device).with_tensors_of(&network)?;
-    Ok(Learner::new(network, &config.loss, seed))
+    learner.network = learner.network.with_tensors_of(&network)?;
+    Ok(learner)
+}
+
+/// The first field in which two descriptions differ, and what it is in each.
+fn difference(found: &ModelConfig, expected: &ModelConfig) -> Option<[String; 3]> {
+    let [found, expected] = [found, expected].map(|config| serde_json::to_value(config).unwrap_or_default());
+    let fields =
+        [&found, &expected].into_iter().filter_map(|value| value.as_object()).flat_map(|all| all.keys());
+    let show = |value: &serde_json::Value| match value {
+        serde_json::Value::Null => "nothing".to_owned(),
+        value => value.to_string(),
+    };
+    fields
+        .filter(|field| found[*field] != expected[*field])
+        .map(|field| [field.clone(), show(&found[field]), show(&expected[field])])
+        .next()
 }
 
 /// The newer trials to begin with: those of the runs that the configuration names.

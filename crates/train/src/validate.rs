@@ -110,7 +110,7 @@ impl Validation {
     #[must_use]
     pub fn shifts(&self) -> Vec<f32> {
         let shift = |m: &ScoreMetrics| {
-            if m.successes < FEWEST_SUCCESSES {
+            if m.successes < FEWEST_SUCCESSES || m.successes == m.trials {
                 return 0.0;
             }
             let threshold = (m.best_threshold as f32).clamp(1e-4, 1.0 - 1e-4);

@@ -207,11 +207,17 @@ fn a_run_may_start_from_weights() {
     assert_eq!(narrow.values[..32], wide.values[..32]);
     let narrower = TrainConfig { from: Some(widened.clone()), ..further.clone() };
     let error = train_for(&narrower, &data, &folder.path().join("narrower"), 1).unwrap_err();
-    assert!(matches!(&error, TrainError::OtherNetwork { path } if *path == widened), "{error}");
+    assert!(
+        matches!(&error, TrainError::OtherNetwork { path, field, .. } if *path == widened && field == "width"),
+        "{error}"
+    );
     let mut other = further;
     other.network.hidden = 48;
     let error = train_for(&other, &data, &folder.path().join("other"), 1).unwrap_err();
-    assert!(matches!(&error, TrainError::OtherNetwork { path } if *path == weights), "{error}");
+    assert!(
+        matches!(&error, TrainError::OtherNetwork { path, field, .. } if *path == weights && field == "hidden"),
+        "{error}"
+    );
 }
 
 #[test]

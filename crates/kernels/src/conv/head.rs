@@ -42,11 +42,6 @@ impl Head {
     pub fn outputs(&self) -> usize {
         self.bias.len()
     }
-
-    /// Bytes of packed weights.
-    pub fn weight_bytes(&self) -> usize {
-        self.weights.bytes()
-    }
 }
 
 impl Conv {

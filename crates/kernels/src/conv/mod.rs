@@ -34,13 +34,6 @@ pub struct Workspace {
     rows: AlignedBuf,
 }
 
-impl Workspace {
-    /// Bytes held.
-    pub fn capacity_bytes(&self) -> usize {
-        self.rows.capacity_bytes()
-    }
-}
-
 /// What is added to a convolution's result before the ReLU.
 #[derive(Clone, Copy)]
 pub enum Add<'a> {
@@ -94,11 +87,6 @@ impl Conv {
     /// Output channels.
     pub fn outputs(&self) -> usize {
         self.outputs
-    }
-
-    /// Bytes of packed weights.
-    pub fn weight_bytes(&self) -> usize {
-        self.weights.bytes()
     }
 
     /// Computes `max(conv(inputs) + add, 0 if relu)`. The output takes the right shape.

@@ -66,11 +66,6 @@ impl Picture {
         }
     }
 
-    /// Bytes held.
-    pub fn capacity_bytes(&self) -> usize {
-        self.data.capacity_bytes()
-    }
-
     fn row(&self) -> usize {
         (self.width + 2 * self.pad) * self.channels
     }
@@ -121,11 +116,6 @@ impl Stem {
             if n < weights.outputs { weights.kernel[(n * channels + c) * area + y * size + x] } else { 0.0 }
         });
         Ok(Self { weights: panels, bias, size, stride, channels, outputs: weights.outputs })
-    }
-
-    /// Bytes of packed weights.
-    pub fn weight_bytes(&self) -> usize {
-        self.weights.bytes()
     }
 
     /// Computes `max(conv(picture), 0)`.

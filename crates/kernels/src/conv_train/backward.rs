@@ -116,21 +116,6 @@ pub fn weight_gradient(
     Ok(gradient)
 }
 
-/// Gradient of the bias: the sum of `dy` over batch and pixels.
-///
-/// # Errors
-/// When `dy` does not have the values that `shape` implies, or `shape` has no output.
-pub fn bias_gradient(shape: &ConvShape, dy: &[f32]) -> Result<Vec<f32>, ShapeError> {
-    shape.check()?;
-    ShapeError::check("output gradients", shape.output_len(), dy.len())?;
-    let pixels = shape.out_height() * shape.out_width();
-    let sum = |o: usize| -> f64 {
-        let planes = (0..shape.batch).map(|image| &dy[(image * shape.outputs + o) * pixels..][..pixels]);
-        planes.flat_map(|plane| plane.chunks(256)).map(|run| f64::from(run.iter().sum::<f32>())).sum()
-    };
-    Ok((0..shape.outputs).into_par_iter().map(|o| sum(o) as f32).collect())
-}
-
 /// Gradient of nearest upsampling by two: the sum over every 2 x 2 pixels of some `channels` of a gradient
 /// `[batch, all_channels, height, width]`, beginning with channel `first`.
 ///

@@ -11,7 +11,7 @@ mod micro;
 mod planes;
 mod sweep;
 
-pub use backward::{bias_gradient, input_gradient, upsampling_gradient, weight_gradient};
+pub use backward::{input_gradient, upsampling_gradient, weight_gradient};
 pub use forward::forward;
 
 use crate::ShapeError;

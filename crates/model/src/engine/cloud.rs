@@ -57,8 +57,15 @@ fn inputs(layer: &Plain) -> usize {
 
 fn step(isa: Isa, shared: Plain, first: Plain, layers: &PointMlp) -> Result<Step, ShapeError> {
     let (of_shared, of_rest) = (inputs(&shared), inputs(&first));
-    let rest: Vec<_> = std::iter::once(first).chain(layers.layers.iter().skip(1).map(plain)).collect();
-    Ok(Step { shared: mlp(isa, of_shared, &[shared])?, rest: mlp(isa, of_rest, &rest)? })
+    // Whole blocks are looked up: both parts get further outputs, which are always 0 and nobody heeds.
+    let outputs = first.bias.len().next_multiple_of(16);
+    let mut rest = vec![first.with_outputs(outputs)];
+    rest.extend(layers.layers.iter().skip(1).map(plain));
+    if let Some(second) = rest.get_mut(1) {
+        second.weights.resize(outputs * second.bias.len(), 0.0);
+    }
+    let shared = mlp(isa, of_shared, &[shared.with_outputs(outputs)])?;
+    Ok(Step { shared, rest: mlp(isa, of_rest, &rest)? })
 }
 
 impl CloudEngine {

@@ -102,6 +102,15 @@ impl Plain {
         plain
     }
 
+    /// The layer with further outputs, all zero.
+    pub(super) fn with_outputs(mut self, outputs: usize) -> Self {
+        let padding = vec![0.0; outputs - self.bias.len()];
+        let rows = self.weights.chunks_exact(self.bias.len().max(1));
+        self.weights = rows.flat_map(|row| row.iter().chain(&padding)).copied().collect();
+        self.bias.extend(padding);
+        self
+    }
+
     /// The layer on its inputs before and from `at`: the first without bias or activation, to be looked up by the
     /// second.
     pub(super) fn split(self, at: usize) -> (Self, Self) {

@@ -97,7 +97,7 @@ impl Engine {
     /// Compiles a network for the best instruction set of this CPU.
     ///
     /// # Errors
-    /// When the number of features is not a multiple of 16.
+    /// For pictures, when the number of features is not a multiple of 16.
     pub fn compile(network: &Network) -> Result<Self, EngineError> {
         Self::compile_for(Isa::best(), network)
     }

@@ -102,8 +102,11 @@ fn an_open_engine_and_its_last_layer_give_the_features() {
 
 #[test]
 fn clouds_give_what_burn_gives() {
-    for surroundings in [false, true] {
-        let network = network(Modality::Cloud, |config| ModelConfig { points: 2048, surroundings, ..config });
+    // Sizes that are no multiples of 16, too.
+    for (surroundings, width) in [(false, 1.0), (true, 1.0), (true, 0.125), (false, 1.3)] {
+        let network = network(Modality::Cloud, |config| {
+            ModelConfig { points: 2048, surroundings, ..config }.with_width(width)
+        });
         let points: Vec<f32> = noise(2 * 2048 * 3).iter().map(|x| x * 0.5).collect();
         let scans: Vec<f32> = noise(2 * 9000 * 3).iter().map(|x| x * 0.5).collect();
         let hierarchy = Hierarchy::new(&points, 2);

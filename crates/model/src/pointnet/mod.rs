@@ -67,7 +67,7 @@ pub struct PointNet2 {
     pub surroundings: Option<Surroundings>,
     /// Four steps up, the finest first.
     pub propagation: Vec<Propagation>,
-    /// `[features, 128]`, batch-norm, ReLU.
+    /// `[channels of the last step up, features]`, batch-norm, ReLU.
     pub head: MlpLayer,
 }
 

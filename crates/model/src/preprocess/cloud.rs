@@ -1,6 +1,5 @@
 //! Scans to the points that PointNet++ sees, and back.
 
-use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Point3;
 use rand::RngExt;
 use rand::seq::index;
@@ -175,16 +174,6 @@ impl CloudInput {
     #[must_use]
     pub fn concatenated(inputs: &[Self]) -> Vec<f32> {
         inputs.iter().flat_map(|input| input.xyz.iter().copied()).collect()
-    }
-
-    /// A batch.
-    ///
-    /// # Shapes
-    /// b inputs of n points -> `[b, n, 3]`
-    #[must_use]
-    pub fn batch(inputs: &[Self], device: &Device) -> Tensor<3> {
-        let n = inputs.first().map_or(0, |input| input.source.len());
-        Tensor::from_data(TensorData::new(Self::concatenated(inputs), [inputs.len(), n, 3]), device)
     }
 
     /// The robust radius of this scan in network units: what training collects for

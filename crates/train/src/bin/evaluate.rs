@@ -33,9 +33,9 @@ struct Args {
     /// `procedural`, or a folder of objects (`<Category>/<id>/mobility.urdf`), which take turns.
     #[arg(long, default_value = "procedural")]
     objects: String,
-    /// Which generated objects: shapes that training has not seen, or categories it has not seen.
-    #[arg(long, default_value = "shapes", value_parser = ["shapes", "novel"])]
-    split: String,
+    /// Which generated objects: shapes that training has not seen, or categories it has not seen. Default: shapes.
+    #[arg(long, value_parser = ["shapes", "novel"], conflicts_with = "categories")]
+    split: Option<String>,
     /// Only these categories.
     #[arg(long, value_delimiter = ',')]
     categories: Vec<Category>,
@@ -89,9 +89,12 @@ fn run(args: &Args) -> anyhow::Result<()> {
 
 fn objects(args: &Args) -> anyhow::Result<ObjectSet> {
     if args.objects != "procedural" {
+        if args.split.is_some() {
+            bail!("--split: expected none with a folder of objects, all of which are judged");
+        }
         return Ok(ObjectSet::folder(args.objects.as_ref(), &args.categories)?);
     }
-    let split = if args.split == "novel" { Split::Novel } else { Split::Train };
+    let split = if args.split.as_deref() == Some("novel") { Split::Novel } else { Split::Train };
     let categories = if args.categories.is_empty() { categories_of(split) } else { args.categories.clone() };
     Ok(ObjectSet::Procedural { categories, seeds: ObjectSet::TEST_SEEDS })
 }

@@ -14,12 +14,15 @@ use clap::Parser;
 use clap::builder::PossibleValuesParser;
 use indicatif::{HumanDuration, ProgressBar};
 use where2act_core::{Policy, Primitive, Seed, program};
-use where2act_model::{Modality, Summary, Tensors, Weights};
+use where2act_model::{Modality, Summary};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
+use where2act_train::adaptive::Explored;
 use where2act_train::evaluate::EvaluateConfig;
 use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
 use where2act_train::teacher::Teacher;
-use where2act_train::{CollectConfig, Dataset, TeacherConfig, TrainConfig, adaptive, checkpoint};
+use where2act_train::{
+    CollectConfig, Dataset, Folder, TeacherConfig, TrainConfig, adaptive, checkpoint, first_weights,
+};
 
 use shared::Work;
 
@@ -132,7 +135,10 @@ fn run(args: &Args) -> anyhow::Result<()> {
     std::fs::create_dir_all(&out).with_context(|| format!("--out {}", out.display()))?;
     let mut data = args.data.clone();
     if data.is_empty() {
-        check_start(&config)?;
+        // A checkpoint has all that a run began with.
+        if checkpoint::list(&out.join(files::CHECKPOINTS)).is_ok_and(|all| all.is_empty()) {
+            check_start(&config)?;
+        }
         data = collect(&config, &args.work, &stop)?;
     }
     let dataset = Arc::new(Dataset::open_all(&data, args.skip_damaged)?);
@@ -144,9 +150,10 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     let device = device(&args.device);
     let bar = args.work.bar(config.steps() as u64, "training");
-    let recipes =
-        dataset.folders().iter().map(|folder| serde_json::from_value(folder.manifest.recipe.clone()));
-    let preparers: Option<Vec<_>> = recipes.map(|recipe| recipe.ok().map(Preparer::new)).collect();
+    let preparers = preparers(&dataset);
+    if let (true, Err(error)) = (config.adaptive.enabled, &preparers) {
+        tracing::error!("there will be no online sampling: {error:#}");
+    }
     let mut share = Stages::default();
     let mut told = Instant::now();
     let mut on_step = |report: &StepReport| {
@@ -162,7 +169,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     };
     let mut on_epoch = |report: &EpochReport<'_>| {
         say(&bar, &show_epoch(report));
-        explore(&config, report, preparers.as_deref(), &dataset, &bar)
+        explore(&config, report, preparers.as_deref().ok(), &dataset, &bar)
     };
     let control = Control { stop: &stop, on_step: &mut on_step, on_epoch: &mut on_epoch };
     let outcome = train(&config, Arc::clone(&dataset), &out, &device, control)?;
@@ -242,12 +249,8 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
 
 /// Reads what the run shall start from.
 fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
-    if let Some(from) = &config.from {
-        Weights::load(from, &Device::flex()).context("--from")?;
-    }
-    if let Some(encoder) = &config.encoder {
-        Tensors::read(encoder).context("--encoder")?;
-    }
+    let flag = if config.encoder.is_some() { "--encoder" } else { "--from" };
+    first_weights(config, &config.model(), &Device::flex()).context(flag)?;
     if let Some(teacher) = &config.teacher {
         Teacher::load(teacher, config, &Device::flex()).context("--teacher")?;
     }
@@ -293,6 +296,15 @@ fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Resu
     Ok(folders)
 }
 
+/// What makes the scenes of each folder again.
+fn preparers(dataset: &Dataset) -> anyhow::Result<Vec<Preparer>> {
+    let of_folder = |folder: &Folder| {
+        let recipe = serde_json::from_value(folder.manifest.recipe.clone());
+        Ok(Preparer::new(recipe.with_context(|| format!("{}: its recipe", folder.path.display()))?))
+    };
+    dataset.folders().iter().map(of_folder).collect()
+}
+
 /// New trials between epochs of the joint phase.
 fn explore(
     config: &TrainConfig,
@@ -311,7 +323,13 @@ fn explore(
     let progress =
         || bar.set_message(format!("exploring scene {}/{count}", 1 + done.fetch_add(1, Ordering::Relaxed)));
     match adaptive::explore(report.network, preparers, dataset, &scenes, &config.adaptive, seed, &progress) {
-        Ok(trials) => {
+        Ok(Explored { trials, failed }) => {
+            if let Some(first) = failed.first() {
+                tracing::error!(
+                    "online sampling: {} of {count} scenes gave no trials: {first}",
+                    failed.len()
+                );
+            }
             let show = |policy| {
                 let (trials, successes) = adaptive::count(&trials, policy);
                 format!("{:.0} % of {trials}", 100.0 * successes as f64 / trials.max(1) as f64)
@@ -321,7 +339,7 @@ fn explore(
             trials
         }
         Err(error) => {
-            tracing::warn!("no new trials: {error}");
+            tracing::error!("no new trials: {error}");
             Vec::new()
         }
     }

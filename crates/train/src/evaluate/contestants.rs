@@ -64,6 +64,7 @@ pub(crate) fn proposals(
 ) -> Result<Vec<Vec<Candidate>>, Error> {
     let options = Options {
         top_k: count,
+        candidates: count.max(Options::default().candidates),
         clearance,
         seed,
         region: Some(prep.view.link.iter().map(|&link| link > 1).collect()),

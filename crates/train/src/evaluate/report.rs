@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 use where2act_core::{Seed, Verdict};
-use where2act_infer::Predictor;
+use where2act_infer::{Options, Predictor};
 
 use super::{Contestant, EvaluateConfig, Fate, PrimitiveResult, SceneResult, names};
 use crate::metrics::{Rate, Reliability, ScoreMetrics, f_score_interval, reliability};
@@ -82,13 +82,14 @@ impl Report {
             keys.dedup();
             keys.into_iter().map(|k| (k.clone(), judge(&|scene| key(scene).as_ref() == Some(&k)))).collect()
         };
+        let options = Options::default();
         let done = scenes.len() as u64 + without_scene.values().sum::<u64>();
         Self {
             model: predictor.model().name.clone(),
             sha256: predictor.model().sha256.clone(),
             config: config.clone(),
             rule: format!(
-                "Candidates are the 32 most actionable pixels of movable parts that keep a distance; 100 proposals at \
+                "Candidates are the {2} most actionable pixels of movable parts that keep a distance; {3} proposals at \
                  each{room}, the best four of which are scored once more if the network takes a second look; the \
                  best-scored one per pixel. Top-1 is the best of them, top-k the best {0} (one per pixel), \
                  sampled {0} drawn at random from all of them, whatever their score; a scene without any is a failure of \
@@ -97,6 +98,8 @@ impl Report {
                  count for it.",
                 config.proposals,
                 config.informed,
+                config.proposals.max(options.candidates),
+                options.samples,
                 room =
                     if config.clearance { ", without hands that have no room by the depth map" } else { "" },
             ),

@@ -59,6 +59,9 @@ impl Work {
         let network = Weights::load(weights, &Device::flex())?.network;
         // Judging takes minutes: a report that cannot be written is found out first.
         let markdown = out.with_extension("md");
+        if markdown == out {
+            bail!("--out {}: expected another ending than .md, as the table gets that", out.display());
+        }
         for path in [out, &markdown] {
             check_writable(path).with_context(|| format!("--out {}", path.display()))?;
         }
