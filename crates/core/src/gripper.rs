@@ -59,6 +59,16 @@ pub const GRIPPER: GripperGeometry = GripperGeometry {
 };
 
 impl GripperGeometry {
+    /// Half the width along x of a finger, and its outer y, at a height in its own frame, metres: of
+    /// [`Self::finger_corners`]' hull.
+    #[inline]
+    #[must_use]
+    pub fn finger_section(&self, z: f32) -> [f32; 2] {
+        let [wide_x, wide_y, top] = self.finger_max;
+        let narrow = ((z - self.finger_shoulder) / (top - self.finger_shoulder)).clamp(0.0, 1.0);
+        [wide_x + narrow * (self.finger_tip_x - wide_x), wide_y + narrow * (self.finger_tip_y - wide_y)]
+    }
+
     /// Corners of the convex left finger in its own frame, metres; the right finger is turned by half a turn about z.
     #[must_use]
     pub fn finger_corners(&self) -> [[f32; 3]; 12] {
@@ -81,5 +91,24 @@ impl GripperGeometry {
             at(g, z1),
             at(h, z1),
         ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_of_a_finger_lie_on_its_sections() {
+        let corners = GRIPPER.finger_corners();
+        for [x, y, z] in corners {
+            let [half, outer] = GRIPPER.finger_section(z);
+            assert!(
+                (x.abs() - half).abs() < 1e-7 && (y == GRIPPER.finger_min[1] || (y - outer).abs() < 1e-7)
+            );
+        }
+        let [half, outer] = GRIPPER.finger_section(0.5 * (GRIPPER.finger_shoulder + GRIPPER.finger_max[2]));
+        assert!(half > GRIPPER.finger_tip_x && half < GRIPPER.finger_max[0]);
+        assert!(outer > GRIPPER.finger_tip_y && outer < GRIPPER.finger_max[1]);
     }
 }

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::gripper::GRIPPER;
 use crate::orientation::orthonormal_frame;
 
 /// An action primitive of the paper. The discriminant is its number in shards.
@@ -35,6 +36,17 @@ pub enum FingerState {
     Closed,
     /// Fingers 0.08 m apart.
     Open,
+}
+
+impl FingerState {
+    /// How far each finger is from where they meet, metres.
+    #[must_use]
+    pub const fn opening(self) -> f32 {
+        match self {
+            Self::Closed => 0.0,
+            Self::Open => GRIPPER.finger_travel,
+        }
+    }
 }
 
 /// Where and how the hand goes: a contact point and the hand's axes, all in one frame.

@@ -61,6 +61,15 @@ fn usage(error: &clap::Error) -> String {
     line.strip_prefix("error: ").unwrap_or(&line).to_owned()
 }
 
+/// A number of the command line that is one.
+///
+/// # Errors
+/// For anything else, `nan` and `inf` too.
+pub fn finite(text: &str) -> Result<f32, String> {
+    let number = text.trim().parse().ok().filter(|x: &f32| x.is_finite());
+    number.ok_or_else(|| "expected a finite number".to_owned())
+}
+
 /// Limits the threads of the whole program; `None`: one for every core.
 ///
 /// # Errors

@@ -3,7 +3,7 @@
 //! object itself, of which a camera sees half.)
 
 use nalgebra::{Point3, Rotation3, Vector3};
-use where2act_core::{FingerState, GRIPPER, Primitive};
+use where2act_core::{GRIPPER, Primitive};
 
 /// Farthest that a part of the hand is from the contact point at the start, metres: the corners of the palm's back.
 pub(crate) const REACH: f32 = 0.206;
@@ -48,10 +48,7 @@ impl Room {
     /// by less than half its depth. Pulling needs fingers on both sides of something, or there is nothing to hold; the pulls
     /// that move sideways succeed nearly as often with fingers that only press (figures in `weights/EXPERIMENTS.md`).
     pub(crate) fn fits(&self, primitive: Primitive, rotation: &Rotation3<f32>) -> bool {
-        let opening = match primitive.fingers() {
-            FingerState::Open => GRIPPER.finger_travel,
-            FingerState::Closed => 0.0,
-        };
+        let opening = primitive.fingers().opening();
         let [xs, ys, zs] = &self.offsets;
         let mut inside = 0;
         // Block by block, so that a crowded place is known early and the compiler makes vectors of the rest.
@@ -91,12 +88,9 @@ fn in_palm([x, y, z]: [f32; 3]) -> bool {
 /// Whether a point of the hand frame is inside one of the fingers, which are `opening` from where they meet.
 #[inline(always)]
 fn in_fingers([x, y, z]: [f32; 3], opening: f32) -> bool {
-    let ([_, _, bottom], [wide_x, wide_y, top]) = (GRIPPER.finger_min, GRIPPER.finger_max);
     let (z, y) = (z - GRIPPER.finger_offset, y.abs() - opening);
-    // From the shoulder on they get narrower.
-    let narrow = ((z - GRIPPER.finger_shoulder) / (top - GRIPPER.finger_shoulder)).clamp(0.0, 1.0);
-    let half = wide_x + narrow * (GRIPPER.finger_tip_x - wide_x);
-    let outer = wide_y + narrow * (GRIPPER.finger_tip_y - wide_y);
+    let [half, outer] = GRIPPER.finger_section(z);
+    let (bottom, top) = (GRIPPER.finger_min[2], GRIPPER.finger_max[2]);
     // Where closed fingers meet they have no surface.
     let inner = if opening > 0.0 { MARGIN } else { 0.0 };
     (z > bottom) & (z < top - MARGIN) & (x.abs() < half - MARGIN) & (y >= inner) & (y < outer - MARGIN)

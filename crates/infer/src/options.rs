@@ -19,7 +19,7 @@ pub struct Options {
     pub per_pixel: Option<usize>,
     /// Proposals below this score are left out. Default: 0.
     pub min_score: f32,
-    /// Ask for this pixel of the input only (for scans: `u` is the point's index): "what can I do here?"
+    /// Ask for this pixel of the input only (for scans: `u` is the point's index), whatever the region: "what can I do here?"
     pub pixel: Option<Pixel>,
     /// Where proposals may be, one entry per pixel of the input or point of the scan: say, the parts that move. The
     /// network still sees everything. `None` = anywhere on the object.

@@ -1,7 +1,7 @@
 //! From an orientation at a contact point to poses a robot can drive to.
 
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion};
-use where2act_core::{FingerState, GRIPPER, Grasp, Pixel, Primitive, Proposal, Stage};
+use where2act_core::{Grasp, Pixel, Primitive, Proposal, Stage};
 
 /// A proposal without its rank. With a contact point it carries the poses of the primitive's published motion, whose
 /// lengths are metres of the real hand whatever the object's size.
@@ -31,10 +31,7 @@ pub(crate) fn proposal(
             .iter()
             .flat_map(|m| m.waypoints().map(|pose| rows(&pose)).collect::<Vec<_>>())
             .collect(),
-        gripper_width: match primitive.fingers() {
-            FingerState::Open => 2.0 * GRIPPER.finger_travel,
-            FingerState::Closed => 0.0,
-        },
+        gripper_width: 2.0 * primitive.fingers().opening(),
         close_at: motion.as_ref().and_then(|m| {
             let close = m.stages.iter().position(|s| matches!(s, Stage::Close { .. }))?;
             Some(m.stages.iter().take(close).filter(|s| matches!(s, Stage::Move { .. })).count())

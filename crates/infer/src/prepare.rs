@@ -77,6 +77,9 @@ impl<'a> Prepared<'a> {
         };
         let ImageInput { values, letterbox } =
             ImageInput::new(*size, rgb, mask.as_deref(), &config.preprocessing).map_err(unusable)?;
+        if let Some(pixel) = options.pixel.filter(|pixel| !on_object(observation, *pixel)) {
+            return Err(Error::invalid("pixel", "one of the object", format!("{},{}", pixel.u, pixel.v)));
+        }
         let side = letterbox.side;
         let network = ImageSize::square(side);
         let rows = (0..side as u32).flat_map(|v| (0..side as u32).map(move |u| Pixel { u, v }));

@@ -12,8 +12,8 @@ const HOLE: i64 = 4;
 /// Half the side of the piece of surface whose normal is wanted, metres: 2 pixels in the published view. With 4, fewer of the
 /// hands that come from behind were found, at handles, and more others were taken for such.
 const PATCH: f32 = 0.014;
-/// Pixels to each side that are looked at for what is around a point: so many or, as steps are whole, up to twice as many.
-const LOOKED_AT: i64 = 16;
+/// Pixels in each direction that are looked at for what is around a point: so many or, as steps are whole, up to twice as many.
+const LOOKED_AT: usize = 32;
 
 /// A depth map with its camera.
 #[derive(Clone, Copy)]
@@ -39,11 +39,20 @@ impl DepthView<'_> {
         let Some((u, v)) = self.intrinsics.project(point) else { return Vec::new() };
         // Nearer points spread over more pixels, and away from the axis depth moves a point too.
         let nearest = (point.z - reach).max(0.1 * point.z);
-        let half = |f: f32, x: f32| (f * reach * (1.0 + (x / point.z).abs()) / nearest) as i64 + 1;
-        let half = (half(self.intrinsics.fx, point.x), half(self.intrinsics.fy, point.y));
-        let step = (half.0.max(half.1) / LOOKED_AT).max(1) as usize;
+        // There is nothing beyond the picture: close to the camera, steps for all of that would miss what is near.
+        let half = |f: f32, x: f32, side: usize| {
+            (f * reach * (1.0 + (x / point.z).abs()) / nearest).min(side as f32) as i64 + 1
+        };
+        let half = (
+            half(self.intrinsics.fx, point.x, self.size.width),
+            half(self.intrinsics.fy, point.y, self.size.height),
+        );
+        let (u, v) = (u as i64, v as i64);
+        let columns = within(u, half.0, self.size.width);
+        let rows = within(v, half.1, self.size.height);
+        let step = (columns.count().max(rows.count()) / LOOKED_AT).max(1);
         let mut seen = Vec::new();
-        self.around((u as i64, v as i64), half, step, |pixel, z| {
+        self.around((u, v), half, step, |pixel, z| {
             seen.push(self.intrinsics.pixel_to_point(pixel, z));
         });
         seen
@@ -86,17 +95,19 @@ impl DepthView<'_> {
 
     /// Visits pixels with depth, every `step`-th in each direction, up to `half` from one (columns, rows).
     fn around(&self, (u, v): (i64, i64), half: (i64, i64), step: usize, mut visit: impl FnMut(Pixel, f32)) {
-        let range = |x: i64, half: i64, n: usize| {
-            (x.saturating_sub(half)).max(0)..x.saturating_add(half + 1).min(n as i64)
-        };
-        for v in range(v, half.1, self.size.height).step_by(step) {
-            for u in range(u, half.0, self.size.width).step_by(step) {
+        for v in within(v, half.1, self.size.height).step_by(step) {
+            for u in within(u, half.0, self.size.width).step_by(step) {
                 if let Some(z) = self.depth_at(u, v) {
                     visit(Pixel { u: u as u32, v: v as u32 }, z);
                 }
             }
         }
     }
+}
+
+/// Up to `half` from `x` to either side, of `0..side`.
+fn within(x: i64, half: i64, side: usize) -> std::ops::Range<i64> {
+    x.saturating_sub(half).max(0)..x.saturating_add(half + 1).min(side as i64)
 }
 
 /// The normal of the plane nearest to some points in the optical frame, towards the camera at its origin.
@@ -173,6 +184,24 @@ mod tests {
             let widest = all.iter().step_by(all.len() / 200 + 1).map(gap).fold(0.0, f32::max);
             assert!(widest < if side == 64 { 1e-6 } else { 0.02 }, "{side}: {widest}");
         }
+    }
+
+    #[test]
+    fn a_camera_in_the_hand_sees_what_is_near_too() {
+        let size = ImageSize { width: 640, height: 480 };
+        let intrinsics = Intrinsics { fx: 525.0, fy: 525.0, cx: 320.0, cy: 240.0 };
+        for (distance, finest) in [(0.2, 0.008), (0.3, 0.012)] {
+            let depth = vec![distance; size.pixels()];
+            let view = DepthView { size, depth: &depth, intrinsics };
+            let found = view.around_point(&Point3::new(0.0, 0.0, distance), 0.2);
+            assert!((500..4000).contains(&found.len()), "{distance}: {}", found.len());
+            let [a, b] = [found[0], found[1]];
+            assert!((a - b).norm() < finest, "{distance}: {}", (a - b).norm());
+        }
+        // However close and whatever the focal length, nothing overflows.
+        let depth = vec![1e-30; size.pixels()];
+        let view = DepthView { size, depth: &depth, intrinsics: Intrinsics { fx: 1e30, ..intrinsics } };
+        assert!(!view.around_point(&Point3::new(0.0, 0.0, 1e-30), 0.2).is_empty());
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use image::{DynamicImage, ImageFormat};
 use where2act_core::{ImageSize, Observation, Primitive, Seed};
-use where2act_infer::read::{parse_depth_png, parse_mask, parse_npy, parse_picture};
+use where2act_infer::read::{parse_depth_png, parse_mask, parse_npy, parse_picture, parse_scan};
 use where2act_infer::{Backend, Options, Predictor};
 use where2act_model::{Modality, ModelConfig, Network, Weights};
 
@@ -85,6 +85,30 @@ fn enormous_pictures_are_refused_by_their_header() {
     );
     let (message, growth) = growth(|| parse_npy(&npy).unwrap_err().to_string());
     assert!(message.contains("expected") && growth < 8 << 20, "{message}, {growth} bytes");
+}
+
+#[test]
+fn headers_that_lie_allocate_nothing() {
+    let _alone = MEASURING.lock();
+    let huge = "18446744073709551615";
+    for lie in [
+        format!(
+            "ply\nformat ascii 1.0\nelement vertex {huge}\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n"
+        ),
+        format!(
+            "ply\nformat binary_little_endian 1.0\nelement empty {huge}\nelement vertex 19999999\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+        ),
+        format!(
+            "ply\nformat binary_big_endian 1.0\nelement face {huge}\nproperty list uint double l\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n\u{7f}\u{7f}\u{7f}\u{7f}"
+        ),
+        format!("FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT {huge} 1 1\nPOINTS 19999999\nDATA binary\n"),
+        "FIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nPOINTS 19999999\nDATA binary_compressed\n\u{1}\0\0\0"
+            .to_owned(),
+        "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 4294967296\nHEIGHT 4294967296\nDATA ascii\n".to_owned(),
+    ] {
+        let (result, growth) = growth(|| parse_scan(lie.as_bytes()));
+        assert!(result.is_err() && growth < 8 << 20, "{lie}: {growth} bytes");
+    }
 }
 
 #[test]

@@ -90,7 +90,7 @@ fn fraction(text: &str) -> Result<f64, String> {
 }
 
 fn main() -> ExitCode {
-    program::run("collect", "error", |cli: Cli| run(&cli))
+    program::run("collect", "error,where2act_sim=warn", |cli: Cli| run(&cli))
 }
 
 fn run(cli: &Cli) -> anyhow::Result<()> {
@@ -121,7 +121,7 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let collected = outcome?;
     if !cli.quiet {
-        report(cli, &collected, start.elapsed());
+        report(cli, collector.scenes(), &collected, start.elapsed());
     }
     Ok(())
 }
@@ -150,12 +150,12 @@ fn recipe(cli: &Cli) -> anyhow::Result<Recipe> {
     })
 }
 
-fn report(cli: &Cli, collected: &Collected, elapsed: Duration) {
+fn report(cli: &Cli, wanted: u64, collected: &Collected, elapsed: Duration) {
     let Collected { shards_found, shards_made, scenes, trials_made, tally } = collected;
     print!("{tally}");
     let rate = *trials_made as f64 / elapsed.as_secs_f64().max(1e-3);
     println!(
-        "{scenes} scenes in {}; {shards_made} shards made, {shards_found} found; {trials_made} trials in {:.0} s, {rate:.1}/s",
+        "{scenes} of {wanted} scenes in {}; {shards_made} shards made, {shards_found} found; {trials_made} trials in {:.0} s, {rate:.1}/s",
         cli.out.display(),
         elapsed.as_secs_f64(),
     );

@@ -105,6 +105,9 @@ impl Collector {
         };
         let is_new = !path.exists();
         if is_new {
+            if list_shards(folder).is_ok_and(|shards| !shards.is_empty()) {
+                return Err(CollectError::Orphans { path: folder.to_owned() });
+            }
             manifest.save(folder)?;
         } else {
             let found = Manifest::load(folder)?;

@@ -60,6 +60,12 @@ pub enum CollectError {
         /// The folder.
         path: PathBuf,
     },
+    /// Shards of which nobody knows how they were made.
+    #[error("{}: holds shards without their manifest.json; expected that too, or an empty folder", path.display())]
+    Orphans {
+        /// The folder.
+        path: PathBuf,
+    },
     /// A data set of another recipe.
     #[error("{}: made with {field} {found}, expected {expected}", path.display())]
     OtherRecipe {

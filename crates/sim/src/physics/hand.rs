@@ -42,10 +42,7 @@ impl World {
     /// Adds a hand at rest.
     pub(crate) fn add_hand(&mut self, world_from_hand: &Isometry3<f32>, fingers: FingerState) -> Hand {
         let start = convert::pose(world_from_hand);
-        let opening = match fingers {
-            FingerState::Closed => 0.0,
-            FingerState::Open => GRIPPER.finger_travel,
-        };
+        let opening = fingers.opening();
         let (mass, inertia) = ARM;
         let arm = MassProperties::new(Vector::ZERO, mass, Vector::splat(inertia));
         let palm = self.add_hand_body(start, Body::Palm, shapes::hand_shape(), arm);

@@ -38,7 +38,7 @@ impl Clear {
 
     /// Whether the hand is free at the start and on the way, and touches what it should at the end of its approach.
     pub(super) fn allows(&self, primitive: Primitive, link: usize, grasp: &Grasp) -> bool {
-        let opening = if primitive.is_pulling() { GRIPPER.finger_travel } else { 0.0 };
+        let opening = primitive.fingers().opening();
         let fingers = [finger(1.0, opening), finger(-1.0, opening)];
         let contact = grasp.hand_at(primitive.contact_distance());
         let anything = |_| true;

@@ -246,7 +246,7 @@ impl Columns {
         }
         let [px, py, pz, ax, ay, az, fx, fy, fz] = numbers;
         let (approach, forward) = (Vector3::new(ax, ay, az), Vector3::new(fx, fy, fz));
-        if approach.cross(&forward).norm() < 1e-6 {
+        if approach.cross(&forward).norm() <= 1e-6 * approach.norm() * forward.norm() {
             return Err(format!(
                 "expected approach and forward to span a plane, found {ax} {ay} {az} and {fx} {fy} {fz}"
             ));

@@ -121,7 +121,7 @@ fn device(name: &str) -> Device {
 }
 
 fn main() -> ExitCode {
-    program::run("train", "error", |args: Args| run(&args))
+    program::run("train", "error,where2act_sim=warn", |args: Args| run(&args))
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {

@@ -9,9 +9,9 @@ use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use where2act_core::program;
+use where2act_core::{one_line, program};
 use where2act_infer::{Predictor, find_weights};
 use where2act_model::Modality;
 
@@ -30,17 +30,39 @@ fn run(args: &Args) -> Result<()> {
     let options = args.options();
     let mut predictors: BTreeMap<bool, Predictor> = BTreeMap::new();
     let progress = progress(args, inputs.len());
+    // One bad file among many costs no other its prediction.
+    let mut failed = 0;
+    let mut fail = |error: anyhow::Error| {
+        if inputs.len() == 1 {
+            return Err(error);
+        }
+        failed += 1;
+        progress.inc(1);
+        progress.suspend(|| eprintln!("predict: {}", one_line(error.as_ref())));
+        Ok(())
+    };
     for (input, folder) in inputs.iter().zip(&folders) {
         progress.set_message(input.path.display().to_string());
-        let observation = input.read(args)?;
+        let observation = match input.read(args) {
+            Ok(observation) => observation,
+            Err(error) => {
+                fail(error)?;
+                continue;
+            }
+        };
         let scan = input.modality() == Modality::Cloud;
         let predictor = match predictors.entry(scan) {
             std::collections::btree_map::Entry::Occupied(found) => found.into_mut(),
             std::collections::btree_map::Entry::Vacant(empty) => empty.insert(load(args, input)?),
         };
-        let mut output = predictor
-            .predict_dense(&observation, &options)
-            .with_context(|| input.path.display().to_string())?;
+        let predicted = predictor.predict_dense(&observation, &options);
+        let mut output = match predicted.with_context(|| input.path.display().to_string()) {
+            Ok(output) => output,
+            Err(error) => {
+                fail(error)?;
+                continue;
+            }
+        };
         output.prediction.input.source = input.path.display().to_string();
         if let Some(folder) = folder {
             results::write(folder, &observation, &mut output, args.no_pictures)?;
@@ -49,6 +71,9 @@ fn run(args: &Args) -> Result<()> {
         progress.inc(1);
     }
     progress.finish_and_clear();
+    if failed > 0 {
+        bail!("{failed} of {} inputs failed", inputs.len());
+    }
     Ok(())
 }
 

@@ -5,12 +5,12 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use image::{ImageFormat, RgbImage};
-use where2act_core::{Observation, Prediction, write_whole};
+use where2act_core::{Observation, Prediction, Primitive, write_whole};
 use where2act_infer::write::{write_coloured_ply, write_npy_grid, write_npy_row};
 use where2act_infer::{Output, draw_overlay, draw_sheet, heat_colour};
 
 /// Writes `prediction.json`, a map and an overlay per primitive, and the contact sheet; for scans also a coloured ply
-/// per primitive. The JSON comes last: where it is, everything is.
+/// per primitive. What an earlier prediction left goes first, and the JSON comes last: where it is, everything is.
 pub(crate) fn write(
     folder: &Path,
     observation: &Observation,
@@ -18,6 +18,7 @@ pub(crate) fn write(
     no_pictures: bool,
 ) -> Result<()> {
     let Output { prediction, maps } = output;
+    forget(folder)?;
     for of in &mut prediction.primitives {
         let name = of.primitive.name();
         let map = format!("map_{name}.npy");
@@ -44,6 +45,29 @@ pub(crate) fn write(
     }
     let json = serde_json::to_vec_pretty(prediction).context("prediction.json")?;
     save(&folder.join("prediction.json"), |to| to.write_all(&json))
+}
+
+/// Removes an earlier prediction, its JSON first.
+fn forget(folder: &Path) -> Result<()> {
+    let of_one = Primitive::ALL.map(|primitive| {
+        let name = primitive.name();
+        [format!("map_{name}.npy"), format!("overlay_{name}.png"), format!("cloud_{name}.ply")]
+    });
+    let all = ["prediction.json".to_owned(), "sheet.png".to_owned()]
+        .into_iter()
+        .chain(of_one.into_iter().flatten());
+    for path in all.map(|name| folder.join(name)) {
+        match std::fs::remove_file(&path) {
+            Err(error)
+                if error.kind() != io::ErrorKind::NotFound
+                    && error.kind() != io::ErrorKind::NotADirectory =>
+            {
+                return Err(error).with_context(|| path.display().to_string());
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 fn save(

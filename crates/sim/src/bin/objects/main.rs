@@ -48,7 +48,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    program::run("objects", "error", run)
+    program::run("objects", "error,where2act_sim=warn", run)
 }
 
 fn run(cli: Cli) -> anyhow::Result<ExitCode> {

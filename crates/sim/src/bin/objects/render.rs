@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use image::{ImageFormat, Rgb, RgbImage};
-use where2act_core::{Camera, ImageSize, write_whole};
+use where2act_core::{Camera, ImageSize, program, write_whole};
 use where2act_sim::object::{self, Material, Object, Visual};
 use where2act_sim::render::{Look, View, render, visible_bounds};
 
@@ -51,10 +51,10 @@ pub(crate) struct Args {
 #[derive(clap::Args, Clone, Copy)]
 pub(crate) struct Viewpoint {
     /// Degrees around the object; 0 looks at its front, positive from its left.
-    #[arg(long, value_name = "DEGREES", default_value_t = 35.0, allow_hyphen_values = true)]
+    #[arg(long, value_parser = program::finite, value_name = "DEGREES", default_value_t = 35.0, allow_hyphen_values = true)]
     azimuth: f32,
     /// Degrees above the horizon.
-    #[arg(long, value_name = "DEGREES", default_value_t = 30.0, allow_hyphen_values = true)]
+    #[arg(long, value_parser = program::finite, value_name = "DEGREES", default_value_t = 30.0, allow_hyphen_values = true)]
     elevation: f32,
 }
 

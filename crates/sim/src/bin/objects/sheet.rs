@@ -78,16 +78,17 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<ExitCode> {
     let rows = (pictures.len() as u32).div_ceil(columns);
     let cell = args.size + GAP;
     let mut sheet = RgbImage::from_pixel(columns * cell - GAP, rows * cell - GAP, Rgb([255; 3]));
-    let mut out = std::io::stdout().lock();
+    let mut names = String::new();
     for (row, line) in pictures.chunks(columns as usize).enumerate() {
         for (column, (_, picture)) in line.iter().enumerate() {
             let (x, y) = (column as u32 * cell, row as u32 * cell);
             imageops::replace(&mut sheet, picture, i64::from(x), i64::from(y));
         }
-        let names: Vec<_> = line.iter().map(|(name, _)| name.as_str()).collect();
-        writeln!(out, "row {}: {}", row + 1, names.join(", "))?;
+        let of_row: Vec<_> = line.iter().map(|(name, _)| name.as_str()).collect();
+        names += &format!("row {}: {}\n", row + 1, of_row.join(", "));
     }
     save(&sheet, &args.out)?;
+    std::io::stdout().write_all(names.as_bytes())?;
     Ok(ExitCode::SUCCESS)
 }
 

@@ -66,10 +66,10 @@ struct Cli {
     #[arg(long, default_value = "500", value_parser = mode, value_name = "500|250")]
     hz: Mode,
     /// Camera of --pixel, degrees around the object; 0 looks at its front.
-    #[arg(long, value_name = "DEGREES", default_value_t = 35.0, allow_hyphen_values = true)]
+    #[arg(long, value_parser = program::finite, value_name = "DEGREES", default_value_t = 35.0, allow_hyphen_values = true)]
     azimuth: f32,
     /// Camera of --pixel, degrees above the horizon.
-    #[arg(long, value_name = "DEGREES", default_value_t = 30.0, allow_hyphen_values = true)]
+    #[arg(long, value_parser = program::finite, value_name = "DEGREES", default_value_t = 30.0, allow_hyphen_values = true)]
     elevation: f32,
     /// Write a moving picture of object and hand.
     #[arg(long, value_name = "GIF", conflicts_with = "batch")]
@@ -92,7 +92,7 @@ struct Cli {
 }
 
 fn main() -> ExitCode {
-    program::run("trial", "error", |cli: Cli| run(&cli))
+    program::run("trial", "error,where2act_sim=warn", |cli: Cli| run(&cli))
 }
 
 fn run(cli: &Cli) -> Result<()> {

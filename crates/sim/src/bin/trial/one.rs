@@ -71,7 +71,7 @@ fn attempt(cli: &Cli, settled: &SettledScene) -> Result<Attempt> {
     let primitive = cli.primitive.context("--primitive: expected one, found none")?;
     let approach = cli.approach.unwrap_or(-surface.normal_in_world);
     let forward = cli.forward.unwrap_or_else(|| horizontal(&approach));
-    if approach.cross(&forward).norm() < 1e-6 * approach.norm() * forward.norm() || approach.norm() == 0.0 {
+    if approach.cross(&forward).norm() <= 1e-6 * approach.norm() * forward.norm() {
         bail!("--approach, --forward: expected two directions that are not parallel");
     }
     let link = target.unwrap_or(surface.link);
