@@ -171,6 +171,13 @@ mod tests {
         assert!(after.f_score > metrics.f_score + 0.2, "{metrics:?} {after:?}");
         assert!(after.f_score > metrics.best_f_score - 0.02, "{metrics:?} {after:?}");
 
+        // Where all trials end the same way there is nothing to tell apart.
+        for success in [false, true] {
+            let alike = ScoreMetrics::new(&[(0.7, success); 50]);
+            let validation = Validation { random: vec![alike], ..Validation::default() };
+            assert_eq!(validation.shifts(), [0.0]);
+        }
+
         // The network does what the arithmetic above does.
         let config = ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(64);
         let network = Network::new(&config, Seed(1), &Device::flex());

@@ -1,5 +1,6 @@
 //! `collect`: makes a data set of settled scenes, views and trials.
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -152,10 +153,11 @@ fn recipe(cli: &Cli) -> anyhow::Result<Recipe> {
 
 fn report(cli: &Cli, wanted: u64, collected: &Collected, elapsed: Duration) {
     let Collected { shards_found, shards_made, scenes, trials_made, tally } = collected;
-    print!("{tally}");
     let rate = *trials_made as f64 / elapsed.as_secs_f64().max(1e-3);
-    println!(
-        "{scenes} of {wanted} scenes in {}; {shards_made} shards made, {shards_found} found; {trials_made} trials in {:.0} s, {rate:.1}/s",
+    // Whoever reads may have seen enough.
+    let _ = writeln!(
+        std::io::stdout(),
+        "{tally}{scenes} of {wanted} scenes in {}; {shards_made} shards made, {shards_found} found; {trials_made} trials in {:.0} s, {rate:.1}/s",
         cli.out.display(),
         elapsed.as_secs_f64(),
     );

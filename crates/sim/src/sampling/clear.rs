@@ -13,7 +13,7 @@ const PALM: HandBox = (GRIPPER.hand_min, GRIPPER.hand_max);
 /// contact point by 1.2 cm.
 const GRIP_DEPTH: f32 = 0.016;
 
-/// One finger's box, opened by `opening`, on the side of +y (1) or -y (-1).
+/// One finger's box, without its taper, opened by `opening`, on the side of +y (1) or -y (-1).
 fn finger(side: f32, opening: f32) -> HandBox {
     let ([x0, y0, z0], [x1, y1, z1]) = (GRIPPER.finger_min, GRIPPER.finger_max);
     let (near, far, lift) = (y0 + opening, y1 + opening, GRIPPER.finger_offset);
