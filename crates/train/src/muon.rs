@@ -60,4 +60,19 @@ mod tests {
         assert_eq!(found, expected);
         assert_ne!(found, numbers(1));
     }
+
+    #[test]
+    fn a_channel_without_a_gradient_stays_where_it_is() {
+        let tensor =
+            |values: Vec<f32>| Tensor::<2>::from_data(TensorData::new(values, [4, 5]), &Device::flex());
+        let gradient = |i: usize| if i < 15 { ((i * 37) % 19) as f32 / 19.0 - 0.5 } else { 0.0 };
+        let (mut weight, mut state) = (tensor(vec![1.0; 20]), None);
+        for _ in 0..20 {
+            let gradient = tensor((0..20).map(gradient).collect());
+            (weight, state) = KernelMuon(MuonConfig::new().build()).step(0.1, weight, gradient, state);
+        }
+        let moved: Vec<f32> =
+            weight.into_data().convert::<f32>().iter::<f32>().map(|x| (x - 1.0).abs()).collect();
+        assert!(moved[..15].iter().any(|x| *x > 0.1) && moved[15..].iter().all(|x| *x < 1e-5), "{moved:?}");
+    }
 }
