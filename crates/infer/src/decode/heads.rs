@@ -8,11 +8,10 @@ use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand::RngExt;
 use rayon::prelude::*;
 use where2act_core::Seed;
-use where2act_kernels::{Isa, Lookup, Mlp, MlpInput, Perceptron, ShapeError};
-use where2act_model::{Heads, LastLayer, ModelConfig, ScoreHead};
+use where2act_kernels::{Activation, Isa, Lookup, Mlp, MlpInput, Perceptron, ShapeError};
+use where2act_model::{Affine, Heads, ModelConfig, ScoreHead};
 
 use super::frames::{self, LANES};
-use super::plain::Plain;
 use super::second_look::SecondLook;
 use super::sigmoid;
 use super::ways::Ways;
@@ -34,7 +33,7 @@ pub(crate) struct DecodingHeads {
     hidden: usize,
     latent: usize,
     /// Feature -> hidden layer of the actionability.
-    actionability: Plain,
+    actionability: Affine,
     /// Its logits, one per primitive.
     logits: Output,
     /// Feature -> its share of the proposals' hidden layer.
@@ -89,18 +88,17 @@ struct Hand {
 
 impl DecodingHeads {
     /// `last` is the layer that the backbone leaves to the heads.
-    pub(crate) fn new(heads: &Heads, config: &ModelConfig, last: Option<&LastLayer>) -> Result<Self, Error> {
+    pub(crate) fn new(heads: &Heads, config: &ModelConfig, last: Option<&Affine>) -> Result<Self, Error> {
         let (isa, hidden) = (Isa::best(), config.hidden.next_multiple_of(16));
-        let features = last.map_or(config.features, |last| last.weights.len() / last.bias.len().max(1));
+        let features = last.map_or(config.features, Affine::inputs);
         let primitives = config.primitives.len();
-        let first = |linear: &Linear, outputs: usize| -> Result<(Plain, Vec<f32>), Error> {
-            Ok(Plain::of(linear)?.widened(outputs).after(last).split(features))
-        };
+        let first =
+            |linear: &Linear, outputs: usize| Affine::of(linear).widened(outputs).after(last).split(features);
         let of_actionability = config.hidden_of_actionability().next_multiple_of(16);
-        let (actionability, _) = first(&heads.actionability.mlp1, of_actionability)?;
-        let (proposal_feature, code) = first(&heads.proposal.decoder.mlp1.linear, hidden)?;
-        let (score_feature, hand) = first(&heads.score.mlp1.linear, hidden)?;
-        let logits = Output::of(&heads.actionability.mlp2, 1, of_actionability)?;
+        let (actionability, _) = first(&heads.actionability.mlp1, of_actionability);
+        let (proposal_feature, code) = first(&heads.proposal.decoder.mlp1.linear, hidden);
+        let (score_feature, hand) = first(&heads.score.mlp1.linear, hidden);
+        let logits = Output::of(&heads.actionability.mlp2, 1, of_actionability);
         Ok(Self {
             isa,
             features,
@@ -108,12 +106,12 @@ impl DecodingHeads {
             latent: config.latent,
             actionability,
             logits: logits.into_iter().next().unwrap_or(Output { weights: vec![], bias: vec![] }),
-            proposal_feature: proposal_feature.mlp(isa)?,
+            proposal_feature: compiled(isa, &proposal_feature)?,
             code,
-            proposals: Output::of(&heads.proposal.decoder.mlp2, primitives, hidden)?,
-            score_feature: score_feature.mlp(isa)?,
+            proposals: Output::of(&heads.proposal.decoder.mlp2, primitives, hidden),
+            score_feature: compiled(isa, &score_feature)?,
             hand: Hand::new(isa, &heads.score, hand, hidden, last)?,
-            scores: Output::of(&heads.score.mlp2, primitives, hidden)?,
+            scores: Output::of(&heads.score.mlp2, primitives, hidden),
             ways: Ways::new(isa, heads, config, last)?,
             second_look: SecondLook::new(isa, heads, config, last)?,
         })
@@ -210,16 +208,16 @@ impl Hand {
         score: &ScoreHead,
         mut weights: Vec<f32>,
         hidden: usize,
-        last: Option<&LastLayer>,
+        last: Option<&Affine>,
     ) -> Result<Self, Error> {
         let Some(align) = &score.align else { return Ok(Self { axes: weights, align: None }) };
-        let align = Plain::of(align)?.after(last);
+        let align = Affine::of(align).after(last);
         let alignments = align.outputs() / AXES;
         // The model has the axes of each alignment together, the product below the alignments of each axis.
         let align = align.ordered(|i| i % alignments * AXES + i / alignments);
-        let mix = Plain { weights: weights.split_off(SEEN * hidden), bias: vec![0.0; hidden] };
+        let mix = Affine { weights: weights.split_off(SEEN * hidden), bias: vec![0.0; hidden] };
         weights.resize(AXES * hidden, 0.0);
-        Ok(Self { axes: weights, align: Some((align.mlp(isa)?, mix.mlp(isa)?)) })
+        Ok(Self { axes: weights, align: Some((compiled(isa, &align)?, compiled(isa, &mix)?)) })
     }
 
     /// The matrices at `count` features, each as large as `axes`.
@@ -234,8 +232,8 @@ impl Hand {
 
 impl Output {
     /// A linear layer after a hidden one, cut into `parts`.
-    fn of(linear: &Linear, parts: usize, hidden: usize) -> Result<Vec<Self>, Error> {
-        let all = Plain::of(linear)?;
+    fn of(linear: &Linear, parts: usize, hidden: usize) -> Vec<Self> {
+        let all = Affine::of(linear);
         let each = all.outputs() / parts.max(1);
         let column = |output: usize| {
             let weights = all.weights.iter().skip(output).step_by(all.outputs()).copied();
@@ -246,13 +244,18 @@ impl Output {
             let bias = all.bias.get(outputs.clone()).unwrap_or_default().to_vec();
             Self { weights: outputs.flat_map(column).collect(), bias }
         };
-        Ok((0..parts).map(part).collect())
+        (0..parts).map(part).collect()
     }
 
     /// With the hidden layer before it.
     fn after<'a>(&'a self, first: &'a [f32], start: &'a [f32]) -> Perceptron<'a> {
         Perceptron { first, start, slope: LEAK, second: &self.weights, bias: &self.bias }
     }
+}
+
+/// A linear layer alone, compiled.
+pub(super) fn compiled(isa: Isa, layer: &Affine) -> Result<Mlp, Error> {
+    Mlp::new(isa, layer.inputs(), &[layer.layer(Activation::Identity)]).map_err(failed)
 }
 
 /// Rows through an MLP; each result starts from the row of the table that belongs to it.

@@ -3,7 +3,6 @@
 mod candidates;
 mod frames;
 mod heads;
-mod plain;
 mod second_look;
 mod select;
 #[cfg(test)]

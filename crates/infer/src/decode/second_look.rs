@@ -1,12 +1,11 @@
 //! The second score of the few proposals that the first one likes: see [`where2act_model::SecondLook`].
 
 use where2act_core::Orientation6;
-use where2act_kernels::{Activation, Isa, Mlp, MlpLayer};
+use where2act_kernels::{Activation, Isa, Mlp};
 use where2act_model::preprocess::CloudInput;
-use where2act_model::{Heads, LastLayer, ModelConfig, SurroundingsEngine, hand_frame};
+use where2act_model::{Affine, Heads, ModelConfig, SurroundingsEngine, hand_frame};
 
-use super::heads::{AXES, LEAK, failed, run};
-use super::plain::Plain;
+use super::heads::{AXES, LEAK, compiled, failed, run};
 use super::ways::Ways;
 use super::{Scored, sigmoid};
 use crate::Error;
@@ -33,19 +32,18 @@ impl SecondLook {
         isa: Isa,
         heads: &Heads,
         config: &ModelConfig,
-        last: Option<&LastLayer>,
+        last: Option<&Affine>,
     ) -> Result<Option<Self>, Error> {
         let Some(look) = &heads.second_look else { return Ok(None) };
-        let first = Plain::of(&look.mlp1.linear)?.after(last);
-        let second = Plain::of(&look.mlp2)?;
-        let hidden =
-            MlpLayer { weights: &first.weights, bias: &first.bias, activation: Activation::Leaky(LEAK) };
-        let align = heads.score.align.as_ref().map(|align| Plain::of(align)?.after(last).mlp(isa));
+        let first = Affine::of(&look.mlp1.linear).after(last);
+        let second = Affine::of(&look.mlp2);
+        let layers = [first.layer(Activation::Leaky(LEAK)), second.layer(Activation::Identity)];
+        let align = heads.score.align.as_ref().map(|align| compiled(isa, &Affine::of(align).after(last)));
         Ok(Some(Self {
-            features: last.map_or(look.mlp1.features, |last| last.weights.len() / last.bias.len().max(1)),
+            features: last.map_or(look.mlp1.features, Affine::inputs),
             align: align.transpose()?,
             around: SurroundingsEngine::new(isa, &look.views).map_err(failed)?,
-            net: Mlp::new(isa, first.inputs(), &[hidden, second.layer()]).map_err(failed)?,
+            net: Mlp::new(isa, first.inputs(), &layers).map_err(failed)?,
             ways: Ways::new(isa, heads, config, last)?,
         }))
     }

@@ -5,15 +5,18 @@ use nalgebra::Point3;
 use where2act_core::{Observation, Orientation6, Primitive, Seed};
 use where2act_kernels::Isa;
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
-use where2act_model::{Engine, LastLayer, Modality, ModelConfig, Network, Weights, hand_frame, to_axes};
+use where2act_model::{Affine, Engine, Modality, ModelConfig, Network, Weights, hand_frame, to_axes};
 
 use super::heads::normal;
-use super::plain::numbers;
 use super::{DecodingHeads, Scored, sigmoid};
 use crate::read::{read_picture, read_scan};
 
 fn tensor(values: &[f32], width: usize) -> Tensor<2> {
     Tensor::from_data(TensorData::new(values.to_vec(), [values.len() / width, width]), &Device::flex())
+}
+
+fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().convert::<f32>().try_into_vec().unwrap()
 }
 
 /// Relative to the largest value: sums of some hundred products in another order.
@@ -37,20 +40,19 @@ fn shortness(raw: &Orientation6) -> f32 {
 }
 
 /// Decoding of `rows`, which `last` makes features of, against the model's heads, for every output.
-fn check(network: &Network, last: Option<&LastLayer>, rows: &[f32], candidates: &[u32]) {
+fn check(network: &Network, last: Option<&Affine>, rows: &[f32], candidates: &[u32]) {
     let (config, model) = (network.config(), &network.heads);
     let outputs = config.primitives.len();
     let heads = DecodingHeads::new(model, config, last).unwrap();
     let features = match last {
         Some(last) => {
             let bias = tensor(&last.bias, last.bias.len());
-            let inputs = last.weights.len() / last.bias.len();
-            numbers(tensor(rows, inputs).matmul(tensor(&last.weights, last.bias.len())) + bias).unwrap()
+            numbers(tensor(rows, last.inputs()).matmul(tensor(&last.weights, last.bias.len())) + bias)
         }
         None => rows.to_vec(),
     };
     let count = features.len() / config.features;
-    let all = numbers(model.actionability.forward(tensor(&features, config.features)).transpose()).unwrap();
+    let all = numbers(model.actionability.forward(tensor(&features, config.features)).transpose());
     close("actionability", &heads.actionability(rows, &[0..1, 1..count]).unwrap(), &all, TOLERANCE);
 
     let samples = 11;
@@ -69,12 +71,12 @@ fn check(network: &Network, last: Option<&LastLayer>, rows: &[f32], candidates: 
             let logits = model.score.forward(feature.clone(), axes.clone());
             let logits = model.with_ways(logits, feature, axes.clone().unsqueeze_dim(1));
             let logits = logits.slice([0..samples, of_output]);
-            let (axes, logits) = (numbers(axes).unwrap(), numbers(logits).unwrap());
+            let (axes, logits) = (numbers(axes), numbers(logits));
             assert_eq!(found.scores.len(), samples);
             for (sample, &score) in found.scores.iter().enumerate() {
                 let rotation = found.rotation(sample);
                 assert_eq!(found.approach(sample), rotation.matrix().column(2));
-                let raw = Orientation6(numbers(raw.clone()).unwrap().as_chunks().0[sample]);
+                let raw = Orientation6(numbers(raw.clone()).as_chunks().0[sample]);
                 let what = format!("output {output}, row {row}, sample {sample}");
                 let within = TOLERANCE / shortness(&raw);
                 close(&what, &Orientation6::from_rotation(&rotation).0, &axes[6 * sample..][..6], within);
@@ -94,7 +96,7 @@ fn decoding_equals_the_heads_of_the_model() {
         (config.actionability_hidden, config.ways) = (dense, (alignments > 0).then_some(3.0));
         let network = Network::new(&config, Seed(3), &Device::flex());
         check(&network, None, &noise(50 * 128), &[49, 3]);
-        let last = LastLayer { weights: noise(32 * 128), bias: noise(128) };
+        let last = Affine { weights: noise(32 * 128), bias: noise(128) };
         check(&network, Some(&last), &noise(50 * 32), &[17, 0]);
     }
 }
@@ -135,7 +137,7 @@ fn a_second_look_equals_the_models() {
         let axes = tensor(&axes, 6).unsqueeze_dim(1);
         let seen = score.hands(own.clone(), axes.clone());
         let logits = look.forward(own.clone(), seen, &cloud.hand_views(&frames));
-        let logits = numbers(network.heads.with_ways(logits, own, axes)).unwrap();
+        let logits = numbers(network.heads.with_ways(logits, own, axes));
         for output in 0..3 {
             let found =
                 heads.second_look.as_ref().unwrap().score(&features, &cloud, &rows, hands.clone(), output);

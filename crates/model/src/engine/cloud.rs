@@ -1,8 +1,9 @@
 //! PointNet++ as a sequence of kernels.
 
-use where2act_kernels::{Isa, Lookup, Mlp, MlpInput, ShapeError};
+use where2act_kernels::{Activation, Isa, Lookup, Mlp, MlpInput, ShapeError};
 
-use super::fold::{Plain, mlp};
+use super::affine::Affine;
+use super::fold::{self, mlp};
 use crate::pointnet::{Grouping, Hierarchy, Interpolation, MlpLayer, PointMlp, PointNet2, Surroundings};
 
 /// A step down or up. Its first layer is a sum over two inputs: one that many rows share, whose part is computed
@@ -47,25 +48,22 @@ impl CloudMemory {
     }
 }
 
-fn plain(layer: &MlpLayer) -> Plain {
-    Plain::norm_relu(&layer.linear, &layer.norm)
+fn affine(layer: &MlpLayer) -> Affine {
+    fold::linear(&layer.linear, &layer.norm)
 }
 
-fn inputs(layer: &Plain) -> usize {
-    layer.weights.len() / layer.bias.len().max(1)
-}
-
-fn step(isa: Isa, shared: Plain, first: Plain, layers: &PointMlp) -> Result<Step, ShapeError> {
-    let (of_shared, of_rest) = (inputs(&shared), inputs(&first));
+/// `shared` are the weights of the first layer's inputs that many rows share, `first` is the layer on each row's own.
+fn step(isa: Isa, shared: Vec<f32>, first: Affine, layers: &PointMlp) -> Result<Step, ShapeError> {
+    let shared = Affine { weights: shared, bias: vec![0.0; first.outputs()] };
     // Whole blocks are looked up: both parts get further outputs, which are always 0 and nobody heeds.
-    let outputs = first.bias.len().next_multiple_of(16);
-    let mut rest = vec![first.with_outputs(outputs)];
-    rest.extend(layers.layers.iter().skip(1).map(plain));
+    let outputs = first.outputs().next_multiple_of(16);
+    let mut rest = vec![first.widened(outputs)];
+    rest.extend(layers.layers.iter().skip(1).map(affine));
     if let Some(second) = rest.get_mut(1) {
-        second.weights.resize(outputs * second.bias.len(), 0.0);
+        second.weights.resize(outputs * second.outputs(), 0.0);
     }
-    let shared = mlp(isa, of_shared, &[shared.with_outputs(outputs)])?;
-    Ok(Step { shared, rest: mlp(isa, of_rest, &rest)? })
+    let shared = mlp(isa, &[shared.widened(outputs)], Activation::Identity)?;
+    Ok(Step { shared, rest: mlp(isa, &rest, Activation::Relu)? })
 }
 
 impl CloudEngine {
@@ -74,25 +72,22 @@ impl CloudEngine {
         let mut down = Vec::new();
         for abstraction in &net.abstraction {
             // Offsets come first in the weights; the features are shared by the neighbourhoods they are in.
-            let (offsets, features) = plain(&abstraction.mlp.layers[0]).split(3);
-            let rest =
-                Plain { bias: features.bias.clone(), activation: features.activation, ..offsets.clone() };
-            let shared = Plain { bias: offsets.bias, activation: offsets.activation, ..features };
-            let step = step(isa, shared, rest, &abstraction.mlp)?;
+            let (offsets, features) = affine(&abstraction.mlp.layers[0]).split(3);
+            let step = step(isa, features, offsets, &abstraction.mlp)?;
             channels.push(step.rest.outputs());
             down.push(step);
         }
         let mut coarse = channels[channels.len() - 1];
         let mut up = Vec::new();
         for propagation in net.propagation.iter().rev() {
-            let (shared, rest) = plain(&propagation.mlp.layers[0]).split(coarse);
-            let step = step(isa, shared, rest, &propagation.mlp)?;
+            let (Affine { weights: shared, bias }, rest) = affine(&propagation.mlp.layers[0]).split(coarse);
+            let step = step(isa, shared, Affine { weights: rest, bias }, &propagation.mlp)?;
             coarse = step.rest.outputs();
             up.push(step);
         }
         let surroundings =
             net.surroundings.as_ref().map(|net| SurroundingsEngine::new(isa, net)).transpose()?;
-        Ok(Self { down, surroundings, up, head: mlp(isa, coarse, &[plain(&net.head)])? })
+        Ok(Self { down, surroundings, up, head: mlp(isa, &[affine(&net.head)], Activation::Relu)? })
     }
 
     pub(super) fn features(&self) -> usize {
@@ -138,7 +133,8 @@ impl SurroundingsEngine {
     /// # Errors
     /// Never for a [`Surroundings`] of this crate.
     pub fn new(isa: Isa, net: &Surroundings) -> Result<Self, ShapeError> {
-        let compile = |net: &PointMlp| mlp(isa, 3, &net.layers.iter().map(plain).collect::<Vec<_>>());
+        let compile =
+            |net: &PointMlp| mlp(isa, &net.layers.iter().map(affine).collect::<Vec<_>>(), Activation::Relu);
         Ok(Self { mlps: net.mlps.iter().map(compile).collect::<Result<_, _>>()? })
     }
 

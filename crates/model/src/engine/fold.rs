@@ -4,9 +4,9 @@ use burn::nn::conv::Conv2d;
 use burn::nn::{BatchNorm, Linear};
 use burn::tensor::Tensor;
 use where2act_kernels::unet::{BlockLayers, Folded, UNetLayers};
-use where2act_kernels::{Activation, Isa, Mlp, MlpLayer, ShapeError};
+use where2act_kernels::{Activation, Isa, Mlp, ShapeError};
 
-use super::LastLayer;
+use super::affine::Affine;
 use crate::layers::folded;
 use crate::unet::{BasicBlock, UNet};
 
@@ -58,7 +58,7 @@ pub(super) fn unet(unet: &UNet) -> Option<UNetLayers> {
 
 /// Takes the linear layer off the end of a U-Net, if it makes more numbers of fewer; in its place is one that passes
 /// them on, with zeros up to a multiple of 16.
-pub(super) fn take_head(layers: &mut UNetLayers) -> Option<LastLayer> {
+pub(super) fn take_head(layers: &mut UNetLayers) -> Option<Affine> {
     let features = layers.head.bias.len();
     let channels = layers.head.kernel.len() / features.max(1);
     let inputs = channels.next_multiple_of(16);
@@ -72,61 +72,23 @@ pub(super) fn take_head(layers: &mut UNetLayers) -> Option<LastLayer> {
     for (feature, row) in head.kernel.chunks_exact(channels).enumerate() {
         weights.iter_mut().skip(feature).step_by(features).zip(row).for_each(|(to, w)| *to = *w);
     }
-    Some(LastLayer { weights, bias: head.bias })
+    Some(Affine { weights, bias: head.bias })
 }
 
-/// A linear layer as numbers: weights `[inputs, outputs]`.
-#[derive(Clone)]
-pub(super) struct Plain {
-    pub(super) weights: Vec<f32>,
-    pub(super) bias: Vec<f32>,
-    pub(super) activation: Activation,
+/// A linear layer and the batch-norm after it.
+pub(super) fn linear(linear: &Linear, norm: &BatchNorm) -> Affine {
+    let (scale, shift) = folded(norm);
+    let scale = values(scale);
+    let mut affine = Affine { bias: values(shift), ..Affine::of(linear) };
+    for row in affine.weights.chunks_exact_mut(scale.len().max(1)) {
+        row.iter_mut().zip(&scale).for_each(|(w, scale)| *w *= scale);
+    }
+    affine
 }
 
-impl Plain {
-    /// A linear layer and what follows.
-    pub(super) fn linear(linear: &Linear, activation: Activation) -> Self {
-        let [_, outputs] = linear.weight.dims();
-        let bias = linear.bias.as_ref().map_or_else(|| vec![0.0; outputs], |bias| values(bias.val()));
-        Self { weights: values(linear.weight.val()), bias, activation }
-    }
-
-    /// A linear layer, the batch-norm after it, and ReLU.
-    pub(super) fn norm_relu(linear: &Linear, norm: &BatchNorm) -> Self {
-        let (scale, shift) = folded(norm);
-        let scale = values(scale);
-        let mut plain = Self { bias: values(shift), ..Self::linear(linear, Activation::Relu) };
-        for row in plain.weights.chunks_exact_mut(scale.len().max(1)) {
-            row.iter_mut().zip(&scale).for_each(|(w, scale)| *w *= scale);
-        }
-        plain
-    }
-
-    /// The layer with further outputs, all zero.
-    pub(super) fn with_outputs(mut self, outputs: usize) -> Self {
-        let padding = vec![0.0; outputs - self.bias.len()];
-        let rows = self.weights.chunks_exact(self.bias.len().max(1));
-        self.weights = rows.flat_map(|row| row.iter().chain(&padding)).copied().collect();
-        self.bias.extend(padding);
-        self
-    }
-
-    /// The layer on its inputs before and from `at`: the first without bias or activation, to be looked up by the
-    /// second.
-    pub(super) fn split(self, at: usize) -> (Self, Self) {
-        let outputs = self.bias.len();
-        let (first, second) = self.weights.split_at((at * outputs).min(self.weights.len()));
-        let first =
-            Self { weights: first.to_vec(), bias: vec![0.0; outputs], activation: Activation::Identity };
-        (first, Self { weights: second.to_vec(), ..self })
-    }
-}
-
-/// Layers compiled to one MLP on `inputs` values.
-pub(super) fn mlp(isa: Isa, inputs: usize, layers: &[Plain]) -> Result<Mlp, ShapeError> {
-    let layers: Vec<_> = layers
-        .iter()
-        .map(|l| MlpLayer { weights: &l.weights, bias: &l.bias, activation: l.activation })
-        .collect();
+/// Layers compiled to one MLP, with the same activation after each.
+pub(super) fn mlp(isa: Isa, layers: &[Affine], activation: Activation) -> Result<Mlp, ShapeError> {
+    let inputs = layers.first().map_or(0, Affine::inputs);
+    let layers: Vec<_> = layers.iter().map(|layer| layer.layer(activation)).collect();
     Mlp::new(isa, inputs, &layers)
 }

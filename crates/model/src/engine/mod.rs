@@ -3,6 +3,7 @@
 //! [`Engine::compile`] folds batch-norms and packs the weights once. Afterwards any number of threads may share the
 //! engine: each call borrows memory from a pool that grows to the number of calls at the same time.
 
+mod affine;
 mod cloud;
 mod fold;
 #[cfg(test)]
@@ -17,6 +18,7 @@ use where2act_kernels::{AlignedBuf, Isa, ShapeError};
 
 use crate::network::{Backbone, Network};
 use crate::pointnet::Hierarchy;
+pub use affine::Affine;
 pub use cloud::SurroundingsEngine;
 use cloud::{CloudEngine, CloudMemory};
 
@@ -49,15 +51,6 @@ pub struct Engine {
     memory: Mutex<Vec<UNetMemory>>,
     cloud_memory: Mutex<Vec<CloudMemory>>,
     outputs: Mutex<Vec<AlignedBuf>>,
-}
-
-/// The linear layer at the end of a backbone, left to whoever continues it: see [`Engine::open`].
-#[derive(Clone, Debug)]
-pub struct LastLayer {
-    /// `[inputs, features]`.
-    pub weights: Vec<f32>,
-    /// `[features]`.
-    pub bias: Vec<f32>,
 }
 
 enum Compiled {
@@ -111,11 +104,11 @@ impl Engine {
     }
 
     /// [`Self::compile_for`], but without the linear layer at the end if there are fewer numbers before it than after it: for
-    /// a caller that goes on with linear layers. Two of them in a row are one, here on the fewer numbers.
+    /// a caller that goes on with linear layers ([`Affine::after`]), on the fewer numbers.
     ///
     /// # Errors
     /// As [`Self::compile`].
-    pub fn open(isa: Isa, network: &Network) -> Result<(Self, Option<LastLayer>), EngineError> {
+    pub fn open(isa: Isa, network: &Network) -> Result<(Self, Option<Affine>), EngineError> {
         Self::compile_layers(isa, network, true)
     }
 
@@ -123,7 +116,7 @@ impl Engine {
         isa: Isa,
         network: &Network,
         open: bool,
-    ) -> Result<(Self, Option<LastLayer>), EngineError> {
+    ) -> Result<(Self, Option<Affine>), EngineError> {
         let mut last = None;
         let isa = if matches!(network.backbone, Backbone::PointNet2(_)) { isa.exact() } else { isa };
         let side = network.config().preprocessing.image_side;
