@@ -183,6 +183,39 @@ fn the_same_bits_from_library_program_folder_and_any_number_of_threads() {
 }
 
 #[test]
+fn bad_files_in_a_folder_cost_no_other_its_prediction() {
+    let bench = Bench::new();
+    std::fs::create_dir(bench.path("many")).unwrap();
+    for name in ["depth.png", "picture.png", "scan.ply"] {
+        std::fs::copy(bench.path(name), bench.path("many").join(name)).unwrap();
+    }
+    let whole = std::fs::read(bench.path("picture.png")).unwrap();
+    for (name, bytes) in [
+        ("a.png", &b""[..]),
+        ("cut.png", &whole[..whole.len() / 2]),
+        ("head.png", &whole[..20]),
+        ("no.jpg", b"no"),
+    ] {
+        std::fs::write(bench.path("many").join(name), bytes).unwrap();
+    }
+    let run = bench.predict(&["many", "--out", "out", "--no-pictures"]).assert().failure().code(2);
+    let stderr = String::from_utf8_lossy(&run.get_output().stderr).into_owned();
+    let lines: Vec<&str> = stderr.trim_end().lines().collect();
+    // A depth map does not say what it was seen through.
+    let expected = ["a.png", "cut.png", "depth.png", "head.png", "no.jpg", "5 of 7 inputs failed"];
+    assert_eq!(lines.len(), expected.len(), "{stderr}");
+    for (line, word) in lines.iter().zip(expected) {
+        assert!(line.starts_with("predict: ") && line.contains(word), "{line} lacks {word:?}");
+    }
+    let mut made: Vec<_> =
+        std::fs::read_dir(bench.path("out")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    made.sort();
+    assert_eq!(made, ["picture", "scan"]);
+    bench.prediction("out/picture");
+    bench.prediction("out/scan");
+}
+
+#[test]
 fn a_pixel_is_answered_with_what_can_be_done_there() {
     let bench = Bench::new();
     let args = ["picture.png", "--pixel", "31,77", "--primitive", "pulling", "--top-k", "4", "--json"];
