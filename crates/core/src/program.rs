@@ -1,10 +1,11 @@
 //! What all programs do alike: arguments, log, threads, Ctrl-C, progress, and errors in one line.
 
 use std::error::Error;
+use std::ops::Deref;
 use std::process::{ExitCode, Termination};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use clap::Parser;
 use clap::error::ErrorKind;
@@ -93,18 +94,53 @@ pub fn stop_flag() -> Result<Arc<AtomicBool>, ProgramError> {
     Ok(stop)
 }
 
-/// A progress bar on stderr in indicatif's template language; invisible if `quiet` or if nobody looks.
-#[must_use]
-pub fn progress(quiet: bool, length: u64, template: &str) -> ProgressBar {
-    if quiet {
-        return ProgressBar::hidden();
+/// Where there is no terminal to draw a bar on, the log says as often how far the work is.
+const TELL_EVERY: Duration = Duration::from_secs(60);
+
+/// How far long work is: a bar on stderr, or now and then a line in the log (`RUST_LOG=info`) where there is no terminal.
+pub struct Progress {
+    bar: ProgressBar,
+    told: Mutex<Instant>,
+}
+
+impl Progress {
+    /// A bar in indicatif's template language; invisible if `quiet` or if nobody looks.
+    #[must_use]
+    pub fn new(quiet: bool, length: u64, template: &str) -> Self {
+        let bar = if quiet { ProgressBar::hidden() } else { ProgressBar::new(length) };
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        if !bar.is_hidden() {
+            bar.enable_steady_tick(Duration::from_secs(1));
+        }
+        Self { bar, told: Mutex::new(Instant::now()) }
     }
-    let bar = ProgressBar::new(length);
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style);
+
+    /// Says in the log how far it is, if there is no bar and a minute has passed since it last did.
+    pub fn tell(&self, line: impl FnOnce() -> String) {
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.bar.is_hidden() && told.elapsed() > TELL_EVERY {
+            *told = Instant::now();
+            tracing::info!("{}", line());
+        }
     }
-    bar.enable_steady_tick(Duration::from_secs(1));
-    bar
+
+    /// Prints a line above the bar, or to the log where there is none.
+    pub fn say(&self, line: &str) {
+        if self.bar.is_hidden() {
+            tracing::info!("{line}");
+        } else {
+            self.bar.println(line);
+        }
+    }
+}
+
+impl Deref for Progress {
+    type Target = ProgressBar;
+    fn deref(&self) -> &ProgressBar {
+        &self.bar
+    }
 }
 
 #[cfg(test)]

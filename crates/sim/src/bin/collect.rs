@@ -7,7 +7,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use clap::Parser;
-use where2act_core::{Category, Primitive, Seed, program};
+use where2act_core::program::{self, Progress};
+use where2act_core::{Category, Primitive, Seed};
 use where2act_sim::collect::{Collected, Collector, ObjectSet, Part, Plan, Recipe, categories_of};
 
 /// Collects scenes and interaction trials into shards.
@@ -111,12 +112,14 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
     let collector = Collector::new(&cli.out, recipe(cli)?, plan)?;
     let stop = program::stop_flag()?;
     let template = "{bar:30} {pos}/{len} scenes, {msg}, {elapsed} gone, {eta} to go";
-    let bar = program::progress(cli.quiet, collector.scenes(), template);
+    let bar = Progress::new(cli.quiet, collector.scenes(), template);
     let start = Instant::now();
     let outcome = collector.run(&stop, &|scenes, state| {
         let rate = state.trials_made as f64 / start.elapsed().as_secs_f64().max(1e-3);
         let trials = state.tally.total().trials;
-        bar.set_message(format!("{trials} trials ({rate:.0}/s), successes {}", state.tally.successes()));
+        let message = format!("{trials} trials ({rate:.0}/s), successes {}", state.tally.successes());
+        bar.tell(|| format!("{} of {} scenes, {message}", state.scenes, collector.scenes()));
+        bar.set_message(message);
         bar.inc(scenes);
     });
     bar.finish_and_clear();

@@ -6,14 +6,15 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use burn::tensor::Device;
 use clap::Parser;
 use clap::builder::PossibleValuesParser;
-use indicatif::{HumanDuration, ProgressBar};
-use where2act_core::{Policy, Primitive, Seed, program};
+use indicatif::HumanDuration;
+use where2act_core::program::{self, Progress};
+use where2act_core::{Policy, Primitive, Seed};
 use where2act_model::{Modality, Summary};
 use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::adaptive::Explored;
@@ -25,9 +26,6 @@ use where2act_train::{
 };
 
 use shared::Work;
-
-/// Where there is no terminal to draw a bar on, the log (`RUST_LOG=info`) says as often how it goes.
-const TELL_EVERY: Duration = Duration::from_secs(60);
 
 /// Large buffers are kept for the next step instead of being returned to the system: half of a step's time.
 #[global_allocator]
@@ -149,26 +147,24 @@ fn run(args: &Args) -> anyhow::Result<()> {
         eprintln!("{}", Summary::new(&config.model()));
     }
     let device = device(&args.device);
-    let bar = args.work.bar(config.steps() as u64, "training");
+    let bar = args.work.progress(config.steps() as u64, "training");
     let preparers = preparers(&dataset);
     if let (true, Err(error)) = (config.adaptive.enabled, &preparers) {
         tracing::error!("there will be no online sampling: {error:#}");
     }
     let mut share = Stages::default();
-    let mut told = Instant::now();
     let mut on_step = |report: &StepReport| {
         share.add(report);
         bar.set_position(report.step as u64);
         bar.set_message(show(report));
-        if bar.is_hidden() && told.elapsed() > TELL_EVERY {
-            told = Instant::now();
+        bar.tell(|| {
             let left = share.per_step() * (report.steps - report.step) as f64;
             let left = HumanDuration(Duration::from_secs_f64(left));
-            tracing::info!("step {} of {}, {left} left: {}", report.step, report.steps, show(report));
-        }
+            format!("step {} of {}, {left} left: {}", report.step, report.steps, show(report))
+        });
     };
     let mut on_epoch = |report: &EpochReport<'_>| {
-        say(&bar, &show_epoch(report));
+        bar.say(&show_epoch(report));
         explore(&config, report, preparers.as_deref().ok(), &dataset, &bar)
     };
     let control = Control { stop: &stop, on_step: &mut on_step, on_epoch: &mut on_epoch };
@@ -285,10 +281,12 @@ fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Resu
         let plan = Plan { resume: true, ..Plan::new(scenes) };
         let folder = Path::new("data").join(format!("{}{suffix}", config.name));
         let collector = Collector::new(&folder, recipe, plan)?;
-        let bar = work.bar(collector.scenes(), "collecting");
+        let bar = work.progress(collector.scenes(), "collecting");
         collector.run(stop, &|_, collected| {
+            let message = format!("successes: {}", collected.tally.successes());
+            bar.tell(|| format!("{} of {} scenes, {message}", collected.scenes, collector.scenes()));
             bar.set_position(collected.scenes);
-            bar.set_message(format!("successes: {}", collected.tally.successes()));
+            bar.set_message(message);
         })?;
         bar.finish_and_clear();
         folders.push(folder);
@@ -311,7 +309,7 @@ fn explore(
     report: &EpochReport<'_>,
     preparers: Option<&[Preparer]>,
     dataset: &Dataset,
-    bar: &ProgressBar,
+    bar: &Progress,
 ) -> NewTrials {
     let (Some(preparers), true, true) = (preparers, config.adaptive.enabled, report.joint) else {
         return Vec::new();
@@ -320,8 +318,11 @@ fn explore(
     let seed = config.root_seed().child("adaptive", report.epoch as u64);
     let done = AtomicUsize::new(0);
     let count = config.adaptive.scenes.min(scenes.len());
-    let progress =
-        || bar.set_message(format!("exploring scene {}/{count}", 1 + done.fetch_add(1, Ordering::Relaxed)));
+    let progress = || {
+        let message = format!("exploring scene {}/{count}", 1 + done.fetch_add(1, Ordering::Relaxed));
+        bar.tell(|| message.clone());
+        bar.set_message(message);
+    };
     match adaptive::explore(report.network, preparers, dataset, &scenes, &config.adaptive, seed, &progress) {
         Ok(Explored { trials, failed }) => {
             if let Some(first) = failed.first() {
@@ -335,7 +336,7 @@ fn explore(
                 format!("{:.0} % of {trials}", 100.0 * successes as f64 / trials.max(1) as f64)
             };
             let (own, random) = (show(Policy::Adaptive), show(Policy::Random));
-            say(bar, &format!("online sampling: {own} own proposals and {random} random trials succeed"));
+            bar.say(&format!("online sampling: {own} own proposals and {random} random trials succeed"));
             trials
         }
         Err(error) => {
@@ -423,14 +424,5 @@ impl Stages {
             "{step:.2} s a step: reading {reading:.1} %, forward {forward:.1} %, backward {backward:.1} %, \
              optimiser {optimiser:.1} %"
         )
-    }
-}
-
-/// Prints a line above the bar, or to a log where there is no terminal.
-fn say(bar: &ProgressBar, line: &str) {
-    if bar.is_hidden() {
-        tracing::info!("{line}");
-    } else {
-        bar.println(line);
     }
 }

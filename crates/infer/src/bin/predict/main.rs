@@ -10,8 +10,8 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use where2act_core::{one_line, program};
+use where2act_core::one_line;
+use where2act_core::program::{self, Progress};
 use where2act_infer::{Predictor, find_weights};
 use where2act_model::Modality;
 
@@ -29,7 +29,8 @@ fn run(args: &Args) -> Result<()> {
     let folders = args.out_folders(&inputs);
     let options = args.options();
     let mut predictors: BTreeMap<bool, Predictor> = BTreeMap::new();
-    let progress = progress(args, inputs.len());
+    let template = "{bar:30} {pos}/{len} {msg} {eta}";
+    let progress = Progress::new(args.quiet || inputs.len() < 2, inputs.len() as u64, template);
     // One bad file among many costs no other its prediction.
     let mut failed = 0;
     let mut fail = |error: anyhow::Error| {
@@ -106,15 +107,4 @@ fn report(
         Err(e) if e.kind() == std::io::ErrorKind::BrokenPipe => Ok(()),
         other => other.context("stdout"),
     }
-}
-
-fn progress(args: &Args, inputs: usize) -> ProgressBar {
-    let progress = ProgressBar::new(inputs as u64);
-    if args.quiet || inputs < 2 {
-        progress.set_draw_target(ProgressDrawTarget::hidden());
-    }
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg} {eta}") {
-        progress.set_style(style);
-    }
-    progress
 }

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use rayon::prelude::*;
-use where2act_core::program;
+use where2act_core::program::Progress;
 use where2act_sim::object::{self, Object, ObjectError};
 
 use crate::list::objects_in;
@@ -31,7 +31,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<ExitCode> {
             specs.push(spec.clone());
         }
     }
-    let bar = program::progress(quiet, specs.len() as u64, "{bar:30} {pos}/{len} objects, {eta} left");
+    let bar = Progress::new(quiet, specs.len() as u64, "{bar:30} {pos}/{len} objects, {eta} left");
     let results: Vec<_> = specs
         .par_iter()
         .map(|spec| {

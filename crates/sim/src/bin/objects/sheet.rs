@@ -7,7 +7,8 @@ use std::process::ExitCode;
 use anyhow::{Result, bail};
 use image::{Rgb, RgbImage, imageops};
 use rayon::prelude::*;
-use where2act_core::{Category, program};
+use where2act_core::Category;
+use where2act_core::program::Progress;
 use where2act_sim::object;
 
 use crate::list::objects_in;
@@ -57,7 +58,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<ExitCode> {
         bail!("--out {}: expected a .png file", args.out.display());
     }
     let specs = specs(args)?;
-    let bar = program::progress(quiet, specs.len() as u64, "{bar:30} {pos}/{len} objects, {eta} left");
+    let bar = Progress::new(quiet, specs.len() as u64, "{bar:30} {pos}/{len} objects, {eta} left");
     let pictures: Vec<Result<(String, RgbImage)>> = specs
         .par_iter()
         .map(|spec| {

@@ -5,7 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use where2act_core::{program, write_whole};
+use where2act_core::program::Progress;
+use where2act_core::write_whole;
 use where2act_sim::object::Object;
 use where2act_sim::{Agreement, Batch};
 
@@ -16,7 +17,7 @@ pub(crate) fn run(cli: &Cli, table: &Path, object: Arc<Object>) -> Result<()> {
         .with_context(|| format!("{}: expected a readable table", table.display()))?;
     let batch = Batch::parse(&text, object).with_context(|| table.display().to_string())?;
     let template = "{bar:30} {pos}/{len} trials, {per_sec}, {eta} left";
-    let bar = program::progress(cli.quiet, batch.len() as u64, template);
+    let bar = Progress::new(cli.quiet, batch.len() as u64, template);
     let outcomes = batch.run(cli.hz, !cli.no_settle, || bar.inc(1));
     bar.finish_and_clear();
     let written = batch.to_tsv(&outcomes);

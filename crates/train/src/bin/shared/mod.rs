@@ -1,15 +1,14 @@
 //! What `train` and `evaluate` have in common: their start, progress on the terminal, judging weights.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 use anyhow::{Context, bail};
 use burn::tensor::Device;
-use indicatif::{ProgressBar, ProgressStyle};
-use where2act_core::{program, write_whole};
+use where2act_core::program::{self, Progress};
+use where2act_core::write_whole;
 use where2act_infer::Predictor;
 use where2act_model::Weights;
 use where2act_train::evaluate::{EvaluateConfig, evaluate};
@@ -32,18 +31,10 @@ impl Work {
         Ok(program::stop_flag()?)
     }
 
-    /// A progress bar, if there is a terminal that wants one.
-    pub(crate) fn bar(&self, length: u64, what: &'static str) -> ProgressBar {
-        if self.quiet || !std::io::stderr().is_terminal() {
-            return ProgressBar::hidden();
-        }
-        let bar = ProgressBar::new(length).with_prefix(what);
-        let template = "{prefix} [{bar:30}] {pos}/{len} ({per_sec}, {eta} left) {msg}";
-        if let Ok(style) = ProgressStyle::with_template(template) {
-            bar.set_style(style.progress_chars("=> "));
-        }
-        bar.enable_steady_tick(Duration::from_millis(200));
-        bar
+    /// How far `what` is, on the terminal or in the log.
+    pub(crate) fn progress(&self, length: u64, what: &str) -> Progress {
+        let template = format!("{what} [{{bar:30}}] {{pos}}/{{len}} ({{per_sec}}, {{eta}} left) {{msg}}");
+        Progress::new(self.quiet, length, &template)
     }
 
     /// Judges weights, and writes and prints the report: JSON at `out`, a Markdown table of the same name beside it. A
@@ -65,8 +56,12 @@ impl Work {
         for path in [out, &markdown] {
             check_writable(path).with_context(|| format!("--out {}", path.display()))?;
         }
-        let bar = self.bar(config.scenes, "evaluating");
-        let report = evaluate(&predictor, &network, config, stop, &|done| bar.set_position(done))?;
+        let bar = self.progress(config.scenes, "evaluating");
+        let judged = |done| {
+            bar.set_position(done);
+            bar.tell(|| format!("{done} of {} scenes judged", config.scenes));
+        };
+        let report = evaluate(&predictor, &network, config, stop, &judged)?;
         bar.finish_and_clear();
         let table = report.to_markdown();
         write_whole(out, |w| Ok(serde_json::to_writer_pretty(w, &report)?))
