@@ -1,10 +1,14 @@
 //! One validated description of a training run: a TOML file, with command-line flags over it.
 
+mod checks;
+
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use where2act_core::{Primitive, Seed};
 use where2act_model::{Modality, ModelConfig};
+
+pub use checks::ConfigError;
 
 use crate::step::Phase;
 
@@ -343,40 +347,6 @@ fn published_weight_decay() -> f32 {
     1e-5
 }
 
-/// A configuration that cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// It cannot be read.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// It is not TOML, or has unknown or missing fields.
-    #[error("{}: {why}", path.display())]
-    Syntax {
-        /// Which file.
-        path: PathBuf,
-        /// Where and why.
-        why: String,
-    },
-    /// A value makes no sense.
-    #[error("configuration: {field} is {found}, expected {expected}")]
-    Value {
-        /// Which field.
-        field: &'static str,
-        /// What it is.
-        found: String,
-        /// What it should be.
-        expected: &'static str,
-    },
-    /// The network's part makes no sense.
-    #[error(transparent)]
-    Network(#[from] where2act_model::ConfigError),
-}
-
 impl TrainConfig {
     /// Reads and checks a TOML file.
     ///
@@ -450,113 +420,18 @@ impl TrainConfig {
             }
         }
     }
-
-    /// Checks every value.
-    ///
-    /// # Errors
-    /// [`ConfigError::Value`] for the first that makes no sense.
-    pub fn validate(&self) -> Result<(), ConfigError> {
-        let check = |ok: bool, field, found: String, expected| {
-            if ok { Ok(()) } else { Err(ConfigError::Value { field, found, expected }) }
-        };
-        self.model().validate()?;
-        let (batch, schedule) = (&self.batch, &self.schedule);
-        check(!self.name.is_empty(), "name", format!("{:?}", self.name), "at least one letter")?;
-        if let Some(encoder) = &self.encoder {
-            let file = encoder.display().to_string();
-            check(self.from.is_none(), "encoder", file, "no file, as from names all weights")?;
-            let NetworkConfig { modality, width, .. } = self.network;
-            let of_pictures = modality == Modality::Rgb;
-            check(of_pictures, "network.modality", "cloud".to_owned(), "rgb, as encoder is a ResNet-18")?;
-            check(width == 1.0, "network.width", width.to_string(), "1, as encoder is a ResNet-18")?;
-        }
-        if let Some(TeacherConfig { weights, places, weight }) = &self.teacher {
-            let (folder, of_pictures) =
-                (weights.display().to_string(), self.network.modality == Modality::Rgb);
-            check(of_pictures, "teacher.weights", folder, "none, as only pictures are taught")?;
-            check((1..=10_000).contains(places), "teacher.places", places.to_string(), "1 to 10000")?;
-            let is_weight = *weight > 0.0 && weight.is_finite();
-            check(is_weight, "teacher.weight", weight.to_string(), "more than 0")?;
-        }
-        check((1..=1024).contains(&batch.views), "batch.views", batch.views.to_string(), "1 to 1024")?;
-        let trials = batch.trials_per_view;
-        check((1..=100_000).contains(&trials), "batch.trials_per_view", trials.to_string(), "1 to 100000")?;
-        for (field, share) in [
-            ("batch.flipped", batch.flipped),
-            ("batch.fixed", batch.fixed),
-            ("batch.mirrored", batch.mirrored),
-            ("batch.measured", batch.measured),
-            ("adaptive.own", self.adaptive.own),
-            ("collect.guided", self.collect.guided),
-        ] {
-            check((0.0..=1.0).contains(&share), field, share.to_string(), "0 to 1")?;
-        }
-        let looks = batch.looks_per_view;
-        let asked = looks > 0 || schedule.look_steps == 0;
-        check(
-            asked,
-            "batch.looks_per_view",
-            looks.to_string(),
-            "at least 1, as schedule.look_steps asks for looks",
-        )?;
-        check(self.steps() > 0, "schedule", "0 steps".to_owned(), "at least one step")?;
-        // Proposals and actionability are learnt with all heads alone: without such steps there is nothing to keep.
-        let kept = schedule.joint_steps > 0 || schedule.score_steps == 0;
-        check(kept, "schedule.joint_steps", "0".to_owned(), "at least 1 after schedule.score_steps")?;
-        check(schedule.epoch_steps > 0, "schedule.epoch_steps", "0".to_owned(), "at least 1")?;
-        let weight_decay = schedule.weight_decay;
-        let falls = (0.0..1.0).contains(&weight_decay);
-        check(falls, "schedule.weight_decay", weight_decay.to_string(), "0 or more and less than 1")?;
-        if let Decay::Step { factor, .. } = schedule.decay {
-            let falls = factor > 0.0 && factor <= 1.0;
-            check(falls, "schedule.decay.step.factor", factor.to_string(), "more than 0, at most 1")?;
-        }
-        let rate = schedule.rate;
-        check(rate > 0.0 && rate < 1.0, "schedule.rate", rate.to_string(), "more than 0 and less than 1")?;
-        let loss = &self.loss;
-        for (field, weight) in [
-            ("loss.score", loss.score),
-            ("loss.geodesic", loss.geodesic),
-            ("loss.kl", loss.kl),
-            ("loss.actionability", loss.actionability),
-            ("loss.motion", loss.motion),
-            ("loss.normal", loss.normal),
-        ] {
-            check(weight >= 0.0 && weight.is_finite(), field, weight.to_string(), "0 or more")?;
-        }
-        check(
-            (1..=10_000).contains(&loss.proposals),
-            "loss.proposals",
-            loss.proposals.to_string(),
-            "1 to 10000",
-        )?;
-        check(loss.best <= loss.proposals, "loss.best", loss.best.to_string(), "at most loss.proposals")?;
-        let asks = loss.motion + loss.normal > 0.0 || schedule.look_steps == 0;
-        check(
-            asks,
-            "schedule.look_steps",
-            schedule.look_steps.to_string(),
-            "0 without loss.motion or loss.normal",
-        )?;
-        let answers = loss.motion == 0.0 || self.network.ways.is_some();
-        check(answers, "network.ways", "none".to_owned(), "a number, as loss.motion asks for ways")?;
-        let AdaptiveConfig { enabled, trials, buffer, .. } = self.adaptive;
-        let holds = !enabled || buffer >= trials;
-        check(holds, "adaptive.buffer", buffer.to_string(), "at least adaptive.trials")?;
-        check(self.collect.scenes > 0, "collect.scenes", "0".to_owned(), "at least 1")
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn minimal() -> String {
+    pub(super) fn minimal() -> String {
         "name = 'test'\n[network]\nmodality = 'cloud'\n[schedule]\nscore_steps = 10\njoint_steps = 30\nepoch_steps = 5\n"
             .to_owned()
     }
 
-    fn load(text: &str) -> Result<TrainConfig, ConfigError> {
+    pub(super) fn load(text: &str) -> Result<TrainConfig, ConfigError> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.toml");
         std::fs::write(&path, text).unwrap();
@@ -580,25 +455,5 @@ mod tests {
         }
         names.sort();
         assert_eq!(names, ["paper-pushing", "quick-cloud", "where2act-cloud", "where2act-rgb"]);
-    }
-
-    #[test]
-    fn a_wrong_value_or_an_unknown_field_is_named() {
-        for (extra, named) in [
-            ("[batch]\nviews = 0\n", "batch.views"),
-            ("[batch]\nvievs = 3\n", "vievs"),
-            ("[loss]\nkl = -1.0\n", "loss.kl"),
-            ("look_steps = 3\n", "schedule.look_steps"),
-            ("[collect]\nguided = 2.0\n", "collect.guided"),
-            ("[batch]\nflipped = 3.0\n", "batch.flipped"),
-            ("look_steps = 3\n[loss]\nnormal = 1.0\n[batch]\nlooks_per_view = 0\n", "batch.looks_per_view"),
-            ("weight_decay = -1.0\n", "schedule.weight_decay"),
-            ("decay = { step = { steps = 3, factor = 1.5 } }\n", "schedule.decay.step.factor"),
-            ("[adaptive]\nenabled = true\nbuffer = 3\n", "adaptive.buffer"),
-            ("[collect]\nscenes = 0\n", "collect.scenes"),
-        ] {
-            let error = load(&(minimal() + extra)).unwrap_err().to_string();
-            assert!(error.contains(named) && !error.contains('\n'), "{error}");
-        }
     }
 }

@@ -1,5 +1,9 @@
 //! A whole training run: steps, epochs, validation, checkpoints, and an end that can be resumed.
 
+mod error;
+mod folder;
+mod report;
+
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,114 +14,30 @@ use std::time::{Duration, Instant};
 
 use burn::module::Module;
 use burn::optim::GradientsParams;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 use serde::Serialize;
-use where2act_core::{Policy, Primitive, Seed, Trial, write_whole};
-use where2act_model::{Modality, Network, Precision, Summary, WeightsError, save_weights};
+use where2act_core::{Policy, Seed, Trial};
+use where2act_model::{Precision, save_weights};
+
+pub use error::TrainError;
+pub(crate) use error::io;
+pub use folder::files;
+use folder::{forget_metrics_after, lock, prepare_folder};
+pub use report::{EpochReport, Outcome, StageSecs, StepReport};
+use report::{card, number, report};
 
 use crate::adaptive;
 use crate::batch::{Batch, Source};
-use crate::checkpoint::{self, CheckpointError, Progress, State};
-use crate::config::{BatchConfig, ConfigError, TrainConfig};
-use crate::curves::{self, CurvesError};
-use crate::dataset::{DataError, Dataset, SceneId};
+use crate::checkpoint::{self, Progress, State};
+use crate::config::{BatchConfig, TrainConfig};
+use crate::curves;
+use crate::dataset::{Dataset, SceneId};
 use crate::replay::Replay;
 use crate::split::Part;
-use crate::start::{first_trials, first_weights, manifests, optimiser, random_weights, with_scan_radius};
-use crate::step::{Losses, Phase, forward};
+use crate::start::{first_trials, first_weights, optimiser, random_weights, with_scan_radius};
+use crate::step::{Phase, forward};
 use crate::teacher::Teacher;
 use crate::validate::{Validation, validate};
-
-/// Why a run stopped before its end.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    /// The configuration makes no sense.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The data cannot be used.
-    #[error(transparent)]
-    Data(#[from] DataError),
-    /// A checkpoint cannot be written or read.
-    #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
-    /// Weights cannot be written.
-    #[error(transparent)]
-    Weights(#[from] WeightsError),
-    /// The picture of the curves cannot be drawn.
-    #[error(transparent)]
-    Curves(#[from] CurvesError),
-    /// A file of a run cannot be read or written.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// Which file.
-        path: PathBuf,
-        /// What the file system said.
-        source: std::io::Error,
-    },
-    /// The run in this folder is another one.
-    #[error("{}: this run has {what}; start another run with --out, or delete the folder", path.display())]
-    OtherRun {
-        /// The run's folder.
-        path: PathBuf,
-        /// What differs.
-        what: &'static str,
-    },
-    /// Another program trains in this folder.
-    #[error("{}: another program is training here; wait for it, or start another run with --out", path.display())]
-    Busy {
-        /// The run's folder.
-        path: PathBuf,
-    },
-    /// The run whose trials are wanted had other data.
-    #[error(
-        "{}: expected a run on the same data, or its first folders, with its config.toml as it was, found another",
-        path.display()
-    )]
-    OtherData {
-        /// The run's folder.
-        path: PathBuf,
-    },
-    /// The weights to start from are another network's.
-    #[error("{}: these weights are of another network: {field} is {found}, expected {expected}", path.display())]
-    OtherNetwork {
-        /// The weights' folder.
-        path: PathBuf,
-        /// The first field of the network's description that differs.
-        field: String,
-        /// What it is in the weights' description.
-        found: String,
-        /// What the configuration makes of it.
-        expected: String,
-    },
-    /// The teacher cannot teach this network.
-    #[error(
-        "{}: this network cannot teach: expected one for scans that knows the configuration's \
-         primitives, found one for {modality:?} with {}",
-        path.display(),
-        primitives.iter().map(|p| p.name()).collect::<Vec<_>>().join(", ")
-    )]
-    OtherTeacher {
-        /// The weights' folder.
-        path: PathBuf,
-        /// What it is for.
-        modality: Modality,
-        /// What it knows.
-        primitives: Vec<Primitive>,
-    },
-    /// The loss is not a number any more, or far too large, or a weight is no number.
-    #[error(
-        "step {step}: the loss is {loss}; start another run with a smaller schedule.rate; last good checkpoint: {}",
-        last_good.as_deref().unwrap_or(Path::new("none yet")).display()
-    )]
-    Diverged {
-        /// At which step.
-        step: usize,
-        /// The loss; no number if a weight is none.
-        loss: f32,
-        /// The newest checkpoint, whose weights are numbers; `None` before the first.
-        last_good: Option<PathBuf>,
-    },
-}
 
 /// Trials that exploration adds to train scenes.
 pub type NewTrials = Vec<(SceneId, Vec<Trial>)>;
@@ -132,81 +52,6 @@ pub struct Control<'a> {
     pub on_epoch: &'a mut dyn FnMut(&EpochReport<'_>) -> NewTrials,
 }
 
-/// How a step went.
-#[derive(Clone, Debug, Serialize)]
-pub struct StepReport {
-    /// Steps done.
-    pub step: usize,
-    /// Steps in all.
-    pub steps: usize,
-    /// Weighted sum of the losses.
-    pub loss: f32,
-    /// Cross-entropy of the score.
-    pub score: Option<f32>,
-    /// Cross-entropy of the score at second look.
-    pub second: Option<f32>,
-    /// Angle of the reconstruction, radians.
-    pub geodesic: Option<f32>,
-    /// Divergence of the code.
-    pub kl: Option<f32>,
-    /// Squared error of the actionability.
-    pub actionability: Option<f32>,
-    /// Difference of the ways that points can go.
-    pub motion: Option<f32>,
-    /// Squared error of the normals.
-    pub normal: Option<f32>,
-    /// Divergence of the score from what the teacher says.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub taught: Option<f32>,
-    /// Learning rate.
-    pub rate: f64,
-    /// Seconds by stage.
-    pub secs: StageSecs,
-}
-
-/// Seconds of one step by stage.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct StageSecs {
-    /// Waiting for the batch.
-    pub reading: f64,
-    /// Forward pass and losses.
-    pub forward: f64,
-    /// Gradients.
-    pub backward: f64,
-    /// The optimiser's step.
-    pub optimiser: f64,
-}
-
-/// How an epoch ended.
-#[derive(Debug)]
-pub struct EpochReport<'a> {
-    /// Steps done.
-    pub step: usize,
-    /// Whether all heads learn already.
-    pub joint: bool,
-    /// Number of this epoch, counted from 0.
-    pub epoch: usize,
-    /// Metrics on validation scenes.
-    pub validation: &'a Validation,
-    /// How much the ways that places of validation scenes can go differ from those the network tells, if it learns them.
-    pub ways: Option<f32>,
-    /// Whether these are the best weights so far.
-    pub is_best: bool,
-    /// The network as it stands, without gradients.
-    pub network: &'a Network,
-}
-
-/// What a finished or interrupted run leaves.
-#[derive(Clone, Debug)]
-pub struct Outcome {
-    /// Whether all steps were done.
-    pub finished: bool,
-    /// Folder of the newest weights, [`files::LAST`], if an epoch has ended that makes some.
-    pub weights: Option<PathBuf>,
-    /// Where the run stands.
-    pub progress: Progress,
-}
-
 /// Losses beyond this mean that the run has left the road.
 const EXPLODED: f32 = 1e6;
 /// A checkpoint is written at least this often.
@@ -216,25 +61,6 @@ const CHECKPOINT_EVERY: Duration = Duration::from_secs(180);
 const VALIDATION_SCENES: usize = 192;
 /// Batches prepared ahead.
 const AHEAD: usize = 2;
-
-/// Names of the files in a run's folder.
-pub mod files {
-    /// Locked while a program trains in the folder; empty.
-    pub const LOCK: &str = ".lock";
-    /// The configuration.
-    pub const CONFIG: &str = "config.toml";
-    /// One JSON line per step and epoch.
-    pub const METRICS: &str = "metrics.jsonl";
-    /// The picture of the curves.
-    pub const CURVES: &str = "curves.png";
-    /// Checkpoints.
-    pub const CHECKPOINTS: &str = "checkpoints";
-    /// The best weights by validation.
-    pub const WEIGHTS: &str = "weights";
-    /// The weights after the newest epoch: those to take. Validation knows trials that others proposed; what the network
-    /// itself proposes goes on getting better when that does not (`weights/EXPERIMENTS.md`).
-    pub const LAST: &str = "last";
-}
 
 /// Trains in `out` from the data in `dataset`; goes on from the newest checkpoint if there is one.
 ///
@@ -511,102 +337,4 @@ impl Run<'_> {
         };
         append().map_err(|e| io(&path, e))
     }
-}
-
-pub(crate) fn io(path: &Path, source: std::io::Error) -> TrainError {
-    TrainError::Io { path: path.to_owned(), source }
-}
-
-fn number(loss: &Tensor<1>) -> f32 {
-    loss.clone().into_data().convert::<f32>().as_slice::<f32>().map_or(f32::NAN, |s| s[0])
-}
-
-fn report(
-    config: &TrainConfig,
-    step: usize,
-    loss: f32,
-    losses: &Losses,
-    rate: f64,
-    secs: StageSecs,
-) -> StepReport {
-    let read = |loss: &Option<Tensor<1>>| loss.as_ref().map(number);
-    StepReport {
-        step,
-        steps: config.steps(),
-        loss,
-        score: read(&losses.score),
-        second: read(&losses.second),
-        geodesic: read(&losses.geodesic),
-        kl: read(&losses.kl),
-        actionability: read(&losses.actionability),
-        motion: read(&losses.motion),
-        normal: read(&losses.normal),
-        taught: read(&losses.taught),
-        rate,
-        secs,
-    }
-}
-
-/// Keeps other programs out of the run's folder until the file is closed.
-fn lock(out: &Path) -> Result<fs::File, TrainError> {
-    let path = out.join(files::LOCK);
-    let open = || {
-        fs::create_dir_all(out)?;
-        fs::OpenOptions::new().create(true).write(true).truncate(false).open(&path)
-    };
-    let file = open().map_err(|e| io(&path, e))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(fs::TryLockError::WouldBlock) => Err(TrainError::Busy { path: out.to_owned() }),
-        Err(fs::TryLockError::Error(error)) => Err(io(&path, error)),
-    }
-}
-
-/// Creates the run's folder with its configuration, or checks that it holds the same one.
-fn prepare_folder(config: &TrainConfig, dataset: &Dataset, out: &Path) -> Result<String, TrainError> {
-    let text = toml::to_string(config).map_err(|e| io(out, std::io::Error::other(e)))?;
-    let path = out.join(files::CONFIG);
-    match fs::read_to_string(&path) {
-        Ok(found) if found == text => {}
-        // A run that never came to a checkpoint has nothing to lose.
-        Ok(_) if checkpoint::list(&out.join(files::CHECKPOINTS)).is_ok_and(|all| all.is_empty()) => {
-            write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?;
-        }
-        Ok(_) => return Err(TrainError::OtherRun { path: out.to_owned(), what: "another configuration" }),
-        Err(_) => write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?,
-    }
-    Ok(checkpoint::fingerprint(&text, &manifests(dataset)?.concat()))
-}
-
-/// Drops lines of steps that will be done again.
-fn forget_metrics_after(path: &Path, step: usize) -> Result<(), TrainError> {
-    let Ok(text) = fs::read_to_string(path) else { return Ok(()) };
-    let is_kept = |line: &&str| {
-        serde_json::from_str::<serde_json::Value>(line)
-            .is_ok_and(|value| value["step"].as_u64().is_some_and(|s| s as usize <= step))
-    };
-    let kept: String = text.lines().filter(is_kept).map(|line| format!("{line}\n")).collect();
-    write_whole(path, |w| w.write_all(kept.as_bytes())).map_err(|e| io(path, e))
-}
-
-fn card(config: &TrainConfig, progress: &Progress, validation: &Validation) -> String {
-    let mut text = format!(
-        "# {}\n\nTrained for {} steps ({:.2} hours), seed {}, data and configuration {}.\n\n",
-        config.name,
-        progress.step,
-        progress.secs / 3600.0,
-        config.seed,
-        &progress.fingerprint[..16]
-    );
-    text += &format!("Network: {} for each picture or scan.\n\n", Summary::new(&config.model()).total());
-    text += "Validation (objects of the training categories that training has not seen, all policies):\n\n";
-    text += "| primitive | trials | successes | average precision | F-score | best F-score |\n";
-    text += "| --- | --- | --- | --- | --- | --- |\n";
-    for (primitive, m) in config.network.primitives.iter().zip(&validation.all) {
-        text += &format!(
-            "| {primitive} | {} | {} | {:.3} | {:.3} | {:.3} |\n",
-            m.trials, m.successes, m.average_precision, m.f_score, m.best_f_score
-        );
-    }
-    text
 }

@@ -1,0 +1,172 @@
+//! Which configurations can be used.
+
+use std::path::PathBuf;
+
+use where2act_model::Modality;
+
+use super::{AdaptiveConfig, Decay, NetworkConfig, ScheduleConfig, TeacherConfig, TrainConfig};
+
+/// A configuration that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// It cannot be read.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// It is not TOML, or has unknown or missing fields.
+    #[error("{}: {why}", path.display())]
+    Syntax {
+        /// Which file.
+        path: PathBuf,
+        /// Where and why.
+        why: String,
+    },
+    /// A value makes no sense.
+    #[error("configuration: {field} is {found}, expected {expected}")]
+    Value {
+        /// Which field.
+        field: &'static str,
+        /// What it is.
+        found: String,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// The network's part makes no sense.
+    #[error(transparent)]
+    Network(#[from] where2act_model::ConfigError),
+}
+
+type Checked = Result<(), ConfigError>;
+
+fn check(ok: bool, field: &'static str, found: impl ToString, expected: &'static str) -> Checked {
+    if ok { Ok(()) } else { Err(ConfigError::Value { field, found: found.to_string(), expected }) }
+}
+
+fn check_share(field: &'static str, share: f32) -> Checked {
+    check((0.0..=1.0).contains(&share), field, share, "0 to 1")
+}
+
+impl TrainConfig {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] for the first that makes no sense.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.model().validate()?;
+        check(!self.name.is_empty(), "name", "\"\"", "at least one letter")?;
+        self.check_start()?;
+        self.check_teacher()?;
+        self.check_batch()?;
+        self.check_schedule()?;
+        self.check_loss()?;
+        self.check_trials()
+    }
+
+    fn check_start(&self) -> Checked {
+        let Some(encoder) = &self.encoder else { return Ok(()) };
+        check(self.from.is_none(), "encoder", encoder.display(), "no file, as from names all weights")?;
+        let NetworkConfig { modality, width, .. } = self.network;
+        let of_pictures = modality == Modality::Rgb;
+        check(of_pictures, "network.modality", "cloud", "rgb, as encoder is a ResNet-18")?;
+        check(width == 1.0, "network.width", width, "1, as encoder is a ResNet-18")
+    }
+
+    fn check_teacher(&self) -> Checked {
+        let Some(TeacherConfig { weights, places, weight }) = &self.teacher else { return Ok(()) };
+        let of_pictures = self.network.modality == Modality::Rgb;
+        check(of_pictures, "teacher.weights", weights.display(), "none, as only pictures are taught")?;
+        check((1..=10_000).contains(places), "teacher.places", places, "1 to 10000")?;
+        check(*weight > 0.0 && weight.is_finite(), "teacher.weight", weight, "more than 0")
+    }
+
+    fn check_batch(&self) -> Checked {
+        let batch = &self.batch;
+        check((1..=1024).contains(&batch.views), "batch.views", batch.views, "1 to 1024")?;
+        let trials = batch.trials_per_view;
+        check((1..=100_000).contains(&trials), "batch.trials_per_view", trials, "1 to 100000")?;
+        for (field, share) in [
+            ("batch.flipped", batch.flipped),
+            ("batch.fixed", batch.fixed),
+            ("batch.mirrored", batch.mirrored),
+            ("batch.measured", batch.measured),
+        ] {
+            check_share(field, share)?;
+        }
+        let looks = batch.looks_per_view;
+        let asked = looks > 0 || self.schedule.look_steps == 0;
+        check(asked, "batch.looks_per_view", looks, "at least 1, as schedule.look_steps asks for looks")
+    }
+
+    fn check_schedule(&self) -> Checked {
+        let ScheduleConfig { score_steps, joint_steps, epoch_steps, rate, weight_decay, .. } = self.schedule;
+        check(self.steps() > 0, "schedule", "0 steps", "at least one step")?;
+        // Proposals and actionability are learnt with all heads alone: without such steps there is nothing to keep.
+        let kept = joint_steps > 0 || score_steps == 0;
+        check(kept, "schedule.joint_steps", 0, "at least 1 after schedule.score_steps")?;
+        check(epoch_steps > 0, "schedule.epoch_steps", 0, "at least 1")?;
+        let falls = (0.0..1.0).contains(&weight_decay);
+        check(falls, "schedule.weight_decay", weight_decay, "0 or more and less than 1")?;
+        if let Decay::Step { factor, .. } = self.schedule.decay {
+            let falls = factor > 0.0 && factor <= 1.0;
+            check(falls, "schedule.decay.step.factor", factor, "more than 0, at most 1")?;
+        }
+        check(rate > 0.0 && rate < 1.0, "schedule.rate", rate, "more than 0 and less than 1")
+    }
+
+    fn check_loss(&self) -> Checked {
+        let (loss, looks) = (&self.loss, self.schedule.look_steps);
+        for (field, weight) in [
+            ("loss.score", loss.score),
+            ("loss.geodesic", loss.geodesic),
+            ("loss.kl", loss.kl),
+            ("loss.actionability", loss.actionability),
+            ("loss.motion", loss.motion),
+            ("loss.normal", loss.normal),
+        ] {
+            check(weight >= 0.0 && weight.is_finite(), field, weight, "0 or more")?;
+        }
+        check((1..=10_000).contains(&loss.proposals), "loss.proposals", loss.proposals, "1 to 10000")?;
+        check(loss.best <= loss.proposals, "loss.best", loss.best, "at most loss.proposals")?;
+        let asks = loss.motion + loss.normal > 0.0 || looks == 0;
+        check(asks, "schedule.look_steps", looks, "0 without loss.motion or loss.normal")?;
+        let answers = loss.motion == 0.0 || self.network.ways.is_some();
+        check(answers, "network.ways", "none", "a number, as loss.motion asks for ways")
+    }
+
+    fn check_trials(&self) -> Checked {
+        let AdaptiveConfig { enabled, trials, own, buffer, .. } = self.adaptive;
+        check_share("adaptive.own", own)?;
+        check(!enabled || buffer >= trials, "adaptive.buffer", buffer, "at least adaptive.trials")?;
+        check_share("collect.guided", self.collect.guided)?;
+        check(self.collect.scenes > 0, "collect.scenes", 0, "at least 1")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::config::tests::{load, minimal};
+
+    #[test]
+    fn a_wrong_value_or_an_unknown_field_is_named() {
+        for (extra, named) in [
+            ("[batch]\nviews = 0\n", "batch.views"),
+            ("[batch]\nvievs = 3\n", "vievs"),
+            ("[loss]\nkl = -1.0\n", "loss.kl"),
+            ("look_steps = 3\n", "schedule.look_steps"),
+            ("[collect]\nguided = 2.0\n", "collect.guided"),
+            ("[batch]\nflipped = 3.0\n", "batch.flipped"),
+            ("look_steps = 3\n[loss]\nnormal = 1.0\n[batch]\nlooks_per_view = 0\n", "batch.looks_per_view"),
+            ("weight_decay = -1.0\n", "schedule.weight_decay"),
+            ("decay = { step = { steps = 3, factor = 1.5 } }\n", "schedule.decay.step.factor"),
+            ("[adaptive]\nenabled = true\nbuffer = 3\n", "adaptive.buffer"),
+            ("[collect]\nscenes = 0\n", "collect.scenes"),
+        ] {
+            let error = load(&(minimal() + extra)).unwrap_err().to_string();
+            assert!(error.contains(named) && !error.contains('\n'), "{error}");
+        }
+    }
+}
