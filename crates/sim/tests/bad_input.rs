@@ -130,7 +130,7 @@ fn unknown_names_and_senseless_arguments_are_refused() {
         (OBJECTS, "render Sofa:1 --out a.png", &["unknown category", "Sofa", "Door"]),
         (OBJECTS, "render Door:one --out a.png", &["Door:one", "whole number"]),
         (OBJECTS, "render Door:1", &["--out"]),
-        (OBJECTS, "export Sofa --out new", &["unknown category", "Sofa"]),
+        (OBJECTS, "export Sofa:1 --out new", &["unknown category", "Sofa"]),
         (OBJECTS, "list --jobs 0", &["--jobs", "at least 1"]),
         (TRIAL, "Sofa:1 --primitive pushing --pixel 200,200", &["unknown category", "Sofa"]),
         (TRIAL, "Door:1 --primitive poking --pixel 200,200", &["--primitive", "poking", "pulling-left"]),
@@ -160,7 +160,7 @@ fn what_cannot_be_written_is_named() {
     bench.write("trials.tsv", &format!("{}\n{}\n", columns.join("\t"), row.join("\t")));
     bench.refuses(OBJECTS, "render Door:1 --out file/a.png", &["file/a.png"]);
     bench.refuses(OBJECTS, "sheet --categories Door --per-category 1 --out file/a.png", &["file/a.png"]);
-    bench.refuses(OBJECTS, "export Door --out file/door", &["file/door"]);
+    bench.refuses(OBJECTS, "export Door:1 --out file/door", &["file/door"]);
     bench.refuses(TRIAL, "set/Door/1 --batch trials.tsv --hz 250 --out file/a.tsv", &["file/a.tsv"]);
     let trial = "Microwave:3 --primitive pushing --pixel 224,240 --hz 250 --gif file/a.gif";
     bench.refuses(TRIAL, trial, &["file/a.gif"]);

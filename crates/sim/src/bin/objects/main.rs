@@ -43,7 +43,7 @@ enum Command {
     Render(render::Args),
     /// Draw many objects into one picture.
     Sheet(sheet::Args),
-    /// Write a generated object as URDF and OBJ for other simulators.
+    /// Write an object as URDF and OBJ for other simulators.
     Export(export::Args),
 }
 
