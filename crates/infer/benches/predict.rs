@@ -1,5 +1,6 @@
 //! Where prediction's time goes: medians of the stages at batch 1, all six primitives, for the published networks, the
-//! shipped ones and what the score with alignments costs.
+//! shipped ones and what the score with alignments costs; each also with hands that have no room
+//! ([`Options::clearance`], which only scans and depth maps tell).
 //! `cargo bench --profile dev --bench predict`
 
 use std::path::Path;
@@ -22,7 +23,10 @@ fn main() -> anyhow::Result<()> {
         nalgebra::Point3::new(0.8 * s * a.cos(), 0.8 * s * a.sin(), 4.0 - 0.8 * h)
     };
     let scan = Observation::Cloud { points: (0..60_000).map(point).collect() };
-    println!("network                    preprocess  backbone    decode     total [ms]   decode / backbone");
+    println!(
+        "network                          preprocess  backbone    decode     total [ms]   decode / backbone"
+    );
+    let everywhere = Options { clearance: false, ..Options::default() };
     for (name, modality, observation) in
         [("picture", Modality::Rgb, &picture), ("scan", Modality::Cloud, &scan)]
     {
@@ -39,19 +43,25 @@ fn main() -> anyhow::Result<()> {
             [("published", random(&published)), ("shipped", shipped), ("16 alignments", random(&aligned))]
         {
             let predictor = Predictor::from_weights(weights, Backend::Fast)?;
-            let runs: Vec<Timing> = (0..RUNS)
-                .map(|_| Ok(predictor.predict(observation, &Options::default())?.timing))
-                .collect::<anyhow::Result<_>>()
-                .with_context(|| format!("{name}, {of}"))?;
-            let median = |of: fn(&Timing) -> f64| {
-                let mut sorted: Vec<f64> = runs.iter().map(of).collect();
-                sorted.sort_by(f64::total_cmp);
-                sorted[sorted.len() / 2]
-            };
-            let [p, b, d, t] =
-                [median(|t| t.preprocess), median(|t| t.backbone), median(|t| t.decode), median(|t| t.total)];
-            let name = format!("{name}, {of}");
-            println!("{name:<26} {p:>10.1} {b:>9.1} {d:>9.1} {t:>9.1}        {:>9.0} %", 100.0 * d / b);
+            for (hands, options) in [("", &Options::default()), (", any hand", &everywhere)] {
+                let runs: Vec<Timing> = (0..RUNS)
+                    .map(|_| Ok(predictor.predict(observation, options)?.timing))
+                    .collect::<anyhow::Result<_>>()
+                    .with_context(|| format!("{name}, {of}"))?;
+                let median = |of: fn(&Timing) -> f64| {
+                    let mut sorted: Vec<f64> = runs.iter().map(of).collect();
+                    sorted.sort_by(f64::total_cmp);
+                    sorted[sorted.len() / 2]
+                };
+                let [p, b, d, t] = [
+                    median(|t| t.preprocess),
+                    median(|t| t.backbone),
+                    median(|t| t.decode),
+                    median(|t| t.total),
+                ];
+                let name = format!("{name}, {of}{hands}");
+                println!("{name:<32} {p:>10.1} {b:>9.1} {d:>9.1} {t:>9.1}        {:>9.0} %", 100.0 * d / b);
+            }
         }
     }
     Ok(())

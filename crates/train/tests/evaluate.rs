@@ -162,6 +162,20 @@ fn objects_take_turns_and_those_without_a_scene_are_named() {
 }
 
 #[test]
+fn a_category_that_allows_nothing_is_named() {
+    let (folder, _) = bench();
+    // Lids that nobody can lift.
+    let (json, markdown) = run(folder.path(), "--categories Faucet,KitchenPot --episodes 2");
+    let report: Report = serde_json::from_str(&json).unwrap();
+    assert!(report.categories["KitchenPot"].rows.iter().all(|row| row.possible_scenes == 0));
+    assert!(report.categories["Faucet"].rows.iter().any(|row| row.possible_scenes > 0));
+    assert!(
+        markdown.contains("Categories that do not count at all") && markdown.contains(": KitchenPot (1)."),
+        "{markdown}"
+    );
+}
+
+#[test]
 fn an_interrupted_report_is_of_the_scenes_done_by_then() {
     let (_folder, weights) = bench();
     let predictor = Predictor::load(&weights).unwrap();

@@ -168,7 +168,7 @@ impl Report {
         text
     }
 
-    /// Scenes that are missing from the report, a paragraph for each reason.
+    /// Scenes that are missing from the report or do not count, a paragraph for each reason.
     fn left_out(&self) -> String {
         let mut text = String::new();
         if self.unfinished > 0 {
@@ -183,6 +183,16 @@ impl Report {
                 "Scenes that could not be made, because the object never came to rest with its parts free of each \
                  other, or no camera saw a movable one: {}.\n",
                 named.join(", ")
+            );
+        }
+        let nothing = |judgement: &Judgement| judgement.rows.iter().all(|row| row.possible_scenes == 0);
+        let hopeless = self.categories.iter().filter(|(_, judgement)| nothing(judgement));
+        let hopeless: Vec<_> = hopeless.map(|(name, of)| format!("{name} ({})", of.scenes)).collect();
+        if !hopeless.is_empty() {
+            let _ = writeln!(
+                text,
+                "Categories that do not count at all, because no primitive is possible in any of their scenes: {}.\n",
+                hopeless.join(", ")
             );
         }
         text
