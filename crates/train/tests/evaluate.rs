@@ -170,7 +170,7 @@ fn a_category_that_allows_nothing_is_named() {
     assert!(report.categories["KitchenPot"].rows.iter().all(|row| row.possible_scenes == 0));
     assert!(report.categories["Faucet"].rows.iter().any(|row| row.possible_scenes > 0));
     assert!(
-        markdown.contains("Categories that do not count at all") && markdown.contains(": KitchenPot (1)."),
+        markdown.contains("Categories of which no scene counts") && markdown.contains(": KitchenPot (1)."),
         "{markdown}"
     );
 }

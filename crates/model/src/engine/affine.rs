@@ -43,7 +43,7 @@ impl Affine {
         let (of_features, of_others) =
             self.weights.split_at((last.outputs() * outputs).min(self.weights.len()));
         let through = |row: &[f32], mut sum: Vec<f32>| {
-            for (x, weights) in row.iter().zip(of_features.chunks_exact(outputs)) {
+            for (x, weights) in row.iter().zip(of_features.chunks_exact(outputs.max(1))) {
                 sum.iter_mut().zip(weights).for_each(|(sum, w)| *sum += x * w);
             }
             sum

@@ -118,9 +118,9 @@ fn run(cli: &Cli) -> anyhow::Result<()> {
         let rate = state.trials_made as f64 / start.elapsed().as_secs_f64().max(1e-3);
         let trials = state.tally.total().trials;
         let message = format!("{trials} trials ({rate:.0}/s), successes {}", state.tally.successes());
-        bar.tell(|| format!("{} of {} scenes, {message}", state.scenes, collector.scenes()));
-        bar.set_message(message);
         bar.inc(scenes);
+        bar.tell(|| format!("{} of {} scenes, {message}", bar.position(), collector.scenes()));
+        bar.set_message(message);
     });
     bar.finish_and_clear();
     let collected = outcome?;

@@ -282,10 +282,10 @@ fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Resu
         let folder = Path::new("data").join(format!("{}{suffix}", config.name));
         let collector = Collector::new(&folder, recipe, plan)?;
         let bar = work.progress(collector.scenes(), "collecting");
-        collector.run(stop, &|_, collected| {
+        collector.run(stop, &|scenes, collected| {
             let message = format!("successes: {}", collected.tally.successes());
-            bar.tell(|| format!("{} of {} scenes, {message}", collected.scenes, collector.scenes()));
-            bar.set_position(collected.scenes);
+            bar.inc(scenes);
+            bar.tell(|| format!("{} of {} scenes, {message}", bar.position(), collector.scenes()));
             bar.set_message(message);
         })?;
         bar.finish_and_clear();

@@ -191,7 +191,9 @@ impl Report {
         if !hopeless.is_empty() {
             let _ = writeln!(
                 text,
-                "Categories that do not count at all, because no primitive is possible in any of their scenes: {}.\n",
+                "Categories of which no scene counts for success rates, as none of the {} trials that know the joint succeeds with \
+                 any primitive: {}.\n",
+                self.config.informed,
                 hopeless.join(", ")
             );
         }

@@ -80,7 +80,7 @@ pub struct EpochReport<'a> {
 pub struct Outcome {
     /// Whether all steps were done.
     pub finished: bool,
-    /// Folder of the newest weights, [`files::LAST`], if an epoch has ended that makes some.
+    /// Folder of the newest weights, [`files::LAST`](super::files::LAST), if an epoch has ended that makes some.
     pub weights: Option<PathBuf>,
     /// Where the run stands.
     pub progress: Progress,
