@@ -5,7 +5,7 @@ use std::ops::Deref;
 use burn::tensor::{Device, Tensor, TensorData};
 use where2act_kernels::Isa;
 use where2act_model::preprocess::CloudInput;
-use where2act_model::{Affine, Engine, EngineError, Features, ModelConfig, Network};
+use where2act_model::{Engine, EngineError, Features, LinearLayer, ModelConfig, Network};
 
 use crate::Error;
 
@@ -70,7 +70,7 @@ impl Deref for Rows<'_> {
 
 impl Backbone {
     /// The backbone, and its last layer if that is left to the heads.
-    pub(crate) fn new(network: Network, backend: Backend) -> Result<(Self, Option<Affine>), Error> {
+    pub(crate) fn new(network: Network, backend: Backend) -> Result<(Self, Option<LinearLayer>), Error> {
         let isa = match backend {
             Backend::Fast => Isa::best(),
             Backend::Bf16 => Isa::bf16().ok_or(EngineError::NoBf16).map_err(failed)?,

@@ -29,7 +29,7 @@ mod unet;
 mod weights;
 
 pub use config::{ConfigError, Modality, ModelConfig, Preprocessing, Schema};
-pub use engine::{Affine, Engine, EngineError, Features, SurroundingsEngine};
+pub use engine::{Engine, EngineError, Features, LinearLayer, SurroundingsEngine};
 pub use heads::{
     ActionabilityHead, Choice, Code, HAND_VIEWS, HandView, Heads, MotionHead, ProposalDecoder,
     ProposalEncoder, ProposalHead, ScoreHead, SecondLook, SplitLinear, hand_frame, intended_axes,

@@ -9,7 +9,7 @@ use rand::RngExt;
 use rayon::prelude::*;
 use where2act_core::Seed;
 use where2act_kernels::{Activation, Isa, Lookup, Mlp, MlpInput, Perceptron, ShapeError};
-use where2act_model::{Affine, Heads, ModelConfig, ScoreHead};
+use where2act_model::{Heads, LinearLayer, ModelConfig, ScoreHead};
 
 use super::frames::{self, LANES};
 use super::second_look::SecondLook;
@@ -33,7 +33,7 @@ pub(crate) struct DecodingHeads {
     hidden: usize,
     latent: usize,
     /// Feature -> hidden layer of the actionability.
-    actionability: Affine,
+    actionability: LinearLayer,
     /// Its logits, one per primitive.
     logits: Output,
     /// Feature -> its share of the proposals' hidden layer.
@@ -88,12 +88,17 @@ struct Hand {
 
 impl DecodingHeads {
     /// `last` is the layer that the backbone leaves to the heads.
-    pub(crate) fn new(heads: &Heads, config: &ModelConfig, last: Option<&Affine>) -> Result<Self, Error> {
+    pub(crate) fn new(
+        heads: &Heads,
+        config: &ModelConfig,
+        last: Option<&LinearLayer>,
+    ) -> Result<Self, Error> {
         let (isa, hidden) = (Isa::best(), config.hidden.next_multiple_of(16));
-        let features = last.map_or(config.features, Affine::inputs);
+        let features = last.map_or(config.features, LinearLayer::inputs);
         let primitives = config.primitives.len();
-        let first =
-            |linear: &Linear, outputs: usize| Affine::of(linear).widened(outputs).after(last).split(features);
+        let first = |linear: &Linear, outputs: usize| {
+            LinearLayer::of(linear).widened(outputs).after(last).split(features)
+        };
         let of_actionability = config.hidden_of_actionability().next_multiple_of(16);
         let (actionability, _) = first(&heads.actionability.mlp1, of_actionability);
         let (proposal_feature, code) = first(&heads.proposal.decoder.mlp1.linear, hidden);
@@ -208,14 +213,14 @@ impl Hand {
         score: &ScoreHead,
         mut weights: Vec<f32>,
         hidden: usize,
-        last: Option<&Affine>,
+        last: Option<&LinearLayer>,
     ) -> Result<Self, Error> {
         let Some(align) = &score.align else { return Ok(Self { axes: weights, align: None }) };
-        let align = Affine::of(align).after(last);
+        let align = LinearLayer::of(align).after(last);
         let alignments = align.outputs() / AXES;
         // The model has the axes of each alignment together, the product below the alignments of each axis.
         let align = align.ordered(|i| i % alignments * AXES + i / alignments);
-        let mix = Affine { weights: weights.split_off(SEEN * hidden), bias: vec![0.0; hidden] };
+        let mix = LinearLayer { weights: weights.split_off(SEEN * hidden), bias: vec![0.0; hidden] };
         weights.resize(AXES * hidden, 0.0);
         Ok(Self { axes: weights, align: Some((compiled(isa, &align)?, compiled(isa, &mix)?)) })
     }
@@ -233,7 +238,7 @@ impl Hand {
 impl Output {
     /// A linear layer after a hidden one, cut into `parts`.
     fn of(linear: &Linear, parts: usize, hidden: usize) -> Vec<Self> {
-        let all = Affine::of(linear);
+        let all = LinearLayer::of(linear);
         let each = all.outputs() / parts.max(1);
         let column = |output: usize| {
             let weights = all.weights.iter().skip(output).step_by(all.outputs()).copied();
@@ -254,8 +259,8 @@ impl Output {
 }
 
 /// A linear layer alone, compiled.
-pub(super) fn compiled(isa: Isa, layer: &Affine) -> Result<Mlp, Error> {
-    Mlp::new(isa, layer.inputs(), &[layer.layer(Activation::Identity)]).map_err(failed)
+pub(super) fn compiled(isa: Isa, layer: &LinearLayer) -> Result<Mlp, Error> {
+    Mlp::new(isa, layer.inputs(), &[layer.followed_by(Activation::Identity)]).map_err(failed)
 }
 
 /// Rows through an MLP; each result starts from the row of the table that belongs to it.

@@ -3,7 +3,7 @@
 use where2act_core::Orientation6;
 use where2act_kernels::{Activation, Isa, Mlp};
 use where2act_model::preprocess::CloudInput;
-use where2act_model::{Affine, Heads, ModelConfig, SurroundingsEngine, hand_frame};
+use where2act_model::{Heads, LinearLayer, ModelConfig, SurroundingsEngine, hand_frame};
 
 use super::heads::{AXES, LEAK, compiled, failed, run};
 use super::ways::Ways;
@@ -32,15 +32,16 @@ impl SecondLook {
         isa: Isa,
         heads: &Heads,
         config: &ModelConfig,
-        last: Option<&Affine>,
+        last: Option<&LinearLayer>,
     ) -> Result<Option<Self>, Error> {
         let Some(look) = &heads.second_look else { return Ok(None) };
-        let first = Affine::of(&look.mlp1.linear).after(last);
-        let second = Affine::of(&look.mlp2);
-        let layers = [first.layer(Activation::Leaky(LEAK)), second.layer(Activation::Identity)];
-        let align = heads.score.align.as_ref().map(|align| compiled(isa, &Affine::of(align).after(last)));
+        let first = LinearLayer::of(&look.mlp1.linear).after(last);
+        let second = LinearLayer::of(&look.mlp2);
+        let layers = [first.followed_by(Activation::Leaky(LEAK)), second.followed_by(Activation::Identity)];
+        let align =
+            heads.score.align.as_ref().map(|align| compiled(isa, &LinearLayer::of(align).after(last)));
         Ok(Some(Self {
-            features: last.map_or(look.mlp1.features, Affine::inputs),
+            features: last.map_or(look.mlp1.features, LinearLayer::inputs),
             align: align.transpose()?,
             around: SurroundingsEngine::new(isa, &look.views).map_err(failed)?,
             net: Mlp::new(isa, first.inputs(), &layers).map_err(failed)?,

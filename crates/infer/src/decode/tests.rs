@@ -5,7 +5,7 @@ use nalgebra::Point3;
 use where2act_core::{Observation, Orientation6, Primitive, Seed};
 use where2act_kernels::Isa;
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
-use where2act_model::{Affine, Engine, Modality, ModelConfig, Network, Weights, hand_frame, to_axes};
+use where2act_model::{Engine, LinearLayer, Modality, ModelConfig, Network, Weights, hand_frame, to_axes};
 
 use super::heads::normal;
 use super::{DecodingHeads, Scored, sigmoid};
@@ -40,7 +40,7 @@ fn shortness(raw: &Orientation6) -> f32 {
 }
 
 /// Decoding of `rows`, which `last` makes features of, against the model's heads, for every output.
-fn check(network: &Network, last: Option<&Affine>, rows: &[f32], candidates: &[u32]) {
+fn check(network: &Network, last: Option<&LinearLayer>, rows: &[f32], candidates: &[u32]) {
     let (config, model) = (network.config(), &network.heads);
     let outputs = config.primitives.len();
     let heads = DecodingHeads::new(model, config, last).unwrap();
@@ -96,7 +96,7 @@ fn decoding_equals_the_heads_of_the_model() {
         (config.actionability_hidden, config.ways) = (dense, (alignments > 0).then_some(3.0));
         let network = Network::new(&config, Seed(3), &Device::flex());
         check(&network, None, &noise(50 * 128), &[49, 3]);
-        let last = Affine { weights: noise(32 * 128), bias: noise(128) };
+        let last = LinearLayer { weights: noise(32 * 128), bias: noise(128) };
         check(&network, Some(&last), &noise(50 * 32), &[17, 0]);
     }
 }

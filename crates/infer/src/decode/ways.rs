@@ -1,7 +1,7 @@
 //! What the ways a point can go add to the scores of hands there: see [`where2act_model::MotionHead`].
 
 use where2act_kernels::{Isa, Mlp};
-use where2act_model::{Affine, Heads, ModelConfig, MotionHead, intended_axes};
+use where2act_model::{Heads, LinearLayer, ModelConfig, MotionHead, intended_axes};
 
 use super::heads::{AXES, compiled, run};
 use crate::Error;
@@ -24,10 +24,10 @@ impl Ways {
         isa: Isa,
         heads: &Heads,
         config: &ModelConfig,
-        last: Option<&Affine>,
+        last: Option<&LinearLayer>,
     ) -> Result<Option<Self>, Error> {
         let Some(head) = heads.heeded_ways() else { return Ok(None) };
-        let net = compiled(isa, &Affine::of(&head.linear).after(last))?;
+        let net = compiled(isa, &LinearLayer::of(&head.linear).after(last))?;
         let intended = config.primitives.iter().copied().map(intended_axes).collect();
         Ok(Some(Self { net, weight: head.weight(), intended }))
     }

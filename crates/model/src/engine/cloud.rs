@@ -2,8 +2,8 @@
 
 use where2act_kernels::{Activation, Isa, Lookup, Mlp, MlpInput, ShapeError};
 
-use super::affine::Affine;
 use super::fold::{self, mlp};
+use super::linear::LinearLayer;
 use crate::pointnet::{Grouping, Hierarchy, Interpolation, MlpLayer, PointMlp, PointNet2, Surroundings};
 
 /// A step down or up. Its first layer is a sum over two inputs: one that many rows share, whose part is computed
@@ -48,17 +48,17 @@ impl CloudMemory {
     }
 }
 
-fn affine(layer: &MlpLayer) -> Affine {
+fn folded(layer: &MlpLayer) -> LinearLayer {
     fold::linear(&layer.linear, &layer.norm)
 }
 
 /// `shared` are the weights of the first layer's inputs that many rows share, `first` is the layer on each row's own.
-fn step(isa: Isa, shared: Vec<f32>, first: Affine, layers: &PointMlp) -> Result<Step, ShapeError> {
-    let shared = Affine { weights: shared, bias: vec![0.0; first.outputs()] };
+fn step(isa: Isa, shared: Vec<f32>, first: LinearLayer, layers: &PointMlp) -> Result<Step, ShapeError> {
+    let shared = LinearLayer { weights: shared, bias: vec![0.0; first.outputs()] };
     // Whole blocks are looked up: both parts get further outputs, which are always 0 and nobody heeds.
     let outputs = first.outputs().next_multiple_of(16);
     let mut rest = vec![first.widened(outputs)];
-    rest.extend(layers.layers.iter().skip(1).map(affine));
+    rest.extend(layers.layers.iter().skip(1).map(folded));
     if let Some(second) = rest.get_mut(1) {
         second.weights.resize(outputs * second.outputs(), 0.0);
     }
@@ -72,7 +72,7 @@ impl CloudEngine {
         let mut down = Vec::new();
         for abstraction in &net.abstraction {
             // Offsets come first in the weights; the features are shared by the neighbourhoods they are in.
-            let (offsets, features) = affine(&abstraction.mlp.layers[0]).split(3);
+            let (offsets, features) = folded(&abstraction.mlp.layers[0]).split(3);
             let step = step(isa, features, offsets, &abstraction.mlp)?;
             channels.push(step.rest.outputs());
             down.push(step);
@@ -80,14 +80,15 @@ impl CloudEngine {
         let mut coarse = channels[channels.len() - 1];
         let mut up = Vec::new();
         for propagation in net.propagation.iter().rev() {
-            let (Affine { weights: shared, bias }, rest) = affine(&propagation.mlp.layers[0]).split(coarse);
-            let step = step(isa, shared, Affine { weights: rest, bias }, &propagation.mlp)?;
+            let (LinearLayer { weights: shared, bias }, rest) =
+                folded(&propagation.mlp.layers[0]).split(coarse);
+            let step = step(isa, shared, LinearLayer { weights: rest, bias }, &propagation.mlp)?;
             coarse = step.rest.outputs();
             up.push(step);
         }
         let surroundings =
             net.surroundings.as_ref().map(|net| SurroundingsEngine::new(isa, net)).transpose()?;
-        Ok(Self { down, surroundings, up, head: mlp(isa, &[affine(&net.head)], Activation::Relu)? })
+        Ok(Self { down, surroundings, up, head: mlp(isa, &[folded(&net.head)], Activation::Relu)? })
     }
 
     pub(super) fn features(&self) -> usize {
@@ -134,7 +135,7 @@ impl SurroundingsEngine {
     /// Never for a [`Surroundings`] of this crate.
     pub fn new(isa: Isa, net: &Surroundings) -> Result<Self, ShapeError> {
         let compile =
-            |net: &PointMlp| mlp(isa, &net.layers.iter().map(affine).collect::<Vec<_>>(), Activation::Relu);
+            |net: &PointMlp| mlp(isa, &net.layers.iter().map(folded).collect::<Vec<_>>(), Activation::Relu);
         Ok(Self { mlps: net.mlps.iter().map(compile).collect::<Result<_, _>>()? })
     }
 

@@ -6,7 +6,7 @@ use burn::tensor::Tensor;
 use where2act_kernels::unet::{BlockLayers, Folded, UNetLayers};
 use where2act_kernels::{Activation, Isa, Mlp, ShapeError};
 
-use super::affine::Affine;
+use super::linear::LinearLayer;
 use crate::layers::folded;
 use crate::unet::{BasicBlock, UNet};
 
@@ -58,7 +58,7 @@ pub(super) fn unet(unet: &UNet) -> Option<UNetLayers> {
 
 /// Takes the linear layer off the end of a U-Net, if it makes more numbers of fewer; in its place is one that passes
 /// them on, with zeros up to a multiple of 16.
-pub(super) fn take_head(layers: &mut UNetLayers) -> Option<Affine> {
+pub(super) fn take_head(layers: &mut UNetLayers) -> Option<LinearLayer> {
     let features = layers.head.bias.len();
     let channels = layers.head.kernel.len() / features.max(1);
     let inputs = channels.next_multiple_of(16);
@@ -72,23 +72,23 @@ pub(super) fn take_head(layers: &mut UNetLayers) -> Option<Affine> {
     for (feature, row) in head.kernel.chunks_exact(channels).enumerate() {
         weights.iter_mut().skip(feature).step_by(features).zip(row).for_each(|(to, w)| *to = *w);
     }
-    Some(Affine { weights, bias: head.bias })
+    Some(LinearLayer { weights, bias: head.bias })
 }
 
 /// A linear layer and the batch-norm after it.
-pub(super) fn linear(linear: &Linear, norm: &BatchNorm) -> Affine {
+pub(super) fn linear(linear: &Linear, norm: &BatchNorm) -> LinearLayer {
     let (scale, shift) = folded(norm);
     let scale = values(scale);
-    let mut affine = Affine { bias: values(shift), ..Affine::of(linear) };
-    for row in affine.weights.chunks_exact_mut(scale.len().max(1)) {
+    let mut layer = LinearLayer { bias: values(shift), ..LinearLayer::of(linear) };
+    for row in layer.weights.chunks_exact_mut(scale.len().max(1)) {
         row.iter_mut().zip(&scale).for_each(|(w, scale)| *w *= scale);
     }
-    affine
+    layer
 }
 
 /// Layers compiled to one MLP, with the same activation after each.
-pub(super) fn mlp(isa: Isa, layers: &[Affine], activation: Activation) -> Result<Mlp, ShapeError> {
-    let inputs = layers.first().map_or(0, Affine::inputs);
-    let layers: Vec<_> = layers.iter().map(|layer| layer.layer(activation)).collect();
+pub(super) fn mlp(isa: Isa, layers: &[LinearLayer], activation: Activation) -> Result<Mlp, ShapeError> {
+    let inputs = layers.first().map_or(0, LinearLayer::inputs);
+    let layers: Vec<_> = layers.iter().map(|layer| layer.followed_by(activation)).collect();
     Mlp::new(isa, inputs, &layers)
 }

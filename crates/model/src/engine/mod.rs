@@ -3,9 +3,9 @@
 //! [`Engine::compile`] folds batch-norms and packs the weights once. Afterwards any number of threads may share the
 //! engine: each call borrows memory from a pool that grows to the number of calls at the same time.
 
-mod affine;
 mod cloud;
 mod fold;
+mod linear;
 #[cfg(test)]
 mod tests;
 
@@ -18,9 +18,9 @@ use where2act_kernels::{AlignedBuf, Isa, ShapeError};
 
 use crate::network::{Backbone, Network};
 use crate::pointnet::Hierarchy;
-pub use affine::Affine;
 pub use cloud::SurroundingsEngine;
 use cloud::{CloudEngine, CloudMemory};
+pub use linear::LinearLayer;
 
 /// Why a network cannot be compiled, or an input not be taken.
 #[derive(Debug, thiserror::Error)]
@@ -104,11 +104,11 @@ impl Engine {
     }
 
     /// [`Self::compile_for`], but without the linear layer at the end if there are fewer numbers before it than after it: for
-    /// a caller that goes on with linear layers ([`Affine::after`]), on the fewer numbers.
+    /// a caller that goes on with linear layers ([`LinearLayer::after`]), on the fewer numbers.
     ///
     /// # Errors
     /// As [`Self::compile`].
-    pub fn open(isa: Isa, network: &Network) -> Result<(Self, Option<Affine>), EngineError> {
+    pub fn open(isa: Isa, network: &Network) -> Result<(Self, Option<LinearLayer>), EngineError> {
         Self::compile_layers(isa, network, true)
     }
 
@@ -116,7 +116,7 @@ impl Engine {
         isa: Isa,
         network: &Network,
         open: bool,
-    ) -> Result<(Self, Option<Affine>), EngineError> {
+    ) -> Result<(Self, Option<LinearLayer>), EngineError> {
         let mut last = None;
         let isa = if matches!(network.backbone, Backbone::PointNet2(_)) { isa.exact() } else { isa };
         let side = network.config().preprocessing.image_side;

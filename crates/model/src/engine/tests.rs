@@ -78,7 +78,7 @@ fn an_open_engine_and_its_last_layer_give_the_features() {
         let expected =
             Engine::compile(&network).unwrap().features_rgb(&images, [1, 64, 64]).unwrap().to_vec();
         let (engine, last) = Engine::open(Isa::best(), &network).unwrap();
-        let Affine { weights, bias } = last.unwrap();
+        let LinearLayer { weights, bias } = last.unwrap();
         assert_eq!((engine.features(), weights.len()), (expected_inputs, expected_inputs * bias.len()));
         let rows = engine.features_rgb(&images, [1, 64, 64]).unwrap();
         let found: Vec<f32> = rows

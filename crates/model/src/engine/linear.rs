@@ -7,14 +7,14 @@ use super::fold::values;
 
 /// A linear layer with its bias.
 #[derive(Clone, Debug)]
-pub struct Affine {
+pub struct LinearLayer {
     /// `[inputs, outputs]`.
     pub weights: Vec<f32>,
     /// `[outputs]`.
     pub bias: Vec<f32>,
 }
 
-impl Affine {
+impl LinearLayer {
     /// The numbers of a layer.
     #[must_use]
     pub fn of(linear: &Linear) -> Self {
@@ -85,7 +85,7 @@ impl Affine {
 
     /// The layer and what follows, for an [`Mlp`](where2act_kernels::Mlp).
     #[must_use]
-    pub fn layer(&self, activation: Activation) -> MlpLayer<'_> {
+    pub fn followed_by(&self, activation: Activation) -> MlpLayer<'_> {
         MlpLayer { weights: &self.weights, bias: &self.bias, activation }
     }
 }
