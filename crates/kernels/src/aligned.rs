@@ -21,7 +21,7 @@ impl AlignedBuf {
     }
 
     /// Changes the length. Memory is only ever added: a smaller buffer keeps it for the next time, and values
-    /// that stay or come back are whatever was there.
+    /// that stay or come back are whatever was there. A buffer that grows beyond what it ever held is all zeros.
     pub fn resize(&mut self, len: usize) {
         let lines = len.div_ceil(16);
         if lines > self.lines.len() {

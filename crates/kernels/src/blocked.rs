@@ -18,6 +18,9 @@ pub struct Blocked {
 
 impl Blocked {
     /// Maps of the given shape, all zero.
+    ///
+    /// # Panics
+    /// As [`Self::reshape`].
     pub fn zeros(images: usize, channels: usize, height: usize, width: usize) -> Self {
         let mut maps = Self::default();
         maps.reshape(images, channels, height, width);
@@ -25,15 +28,24 @@ impl Blocked {
     }
 
     /// Changes the shape, keeping the memory where it suffices. The values are then unspecified.
+    ///
+    /// # Panics
+    /// When no memory could hold so many values.
     pub fn reshape(&mut self, images: usize, channels: usize, height: usize, width: usize) {
+        // Twice the values of each plane, which ends with a block that is none of its pixels.
+        let sizes = [images, channels.div_ceil(16), height.max(1), width.max(1), 32];
+        ShapeError::product("values of maps", &sizes).unwrap_or_else(|error| panic!("{error}"));
         (self.images, self.channels, self.height, self.width) = (images, channels, height, width);
-        self.data.resize(images * self.image_len());
+        self.data.resize(self.images * self.image_len());
     }
 
     /// Maps from values `[images, channels, height, width]`.
     ///
     /// # Errors
     /// When `values` has another length.
+    ///
+    /// # Panics
+    /// As [`Self::reshape`].
     pub fn from_nchw(
         values: &[f32],
         images: usize,
@@ -41,7 +53,8 @@ impl Blocked {
         height: usize,
         width: usize,
     ) -> Result<Self, ShapeError> {
-        ShapeError::check("values of the maps", images * channels * height * width, values.len())?;
+        let count = ShapeError::product("values of the maps", &[images, channels, height, width])?;
+        ShapeError::check("values of the maps", count, values.len())?;
         let mut maps = Self::zeros(images, channels, height, width);
         for (plane, values) in values.chunks_exact((height * width).max(1)).enumerate() {
             let (image, c) = (plane / channels, plane % channels);

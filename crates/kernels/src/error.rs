@@ -16,6 +16,17 @@ impl ShapeError {
     pub fn check(what: &str, expected: usize, found: usize) -> Result<(), Self> {
         if expected == found { Ok(()) } else { Err(Self { what: what.to_owned(), expected, found }) }
     }
+
+    /// Multiplies sizes.
+    ///
+    /// # Errors
+    /// When the product is no number of values that memory could hold.
+    pub(crate) fn product(what: &str, sizes: &[usize]) -> Result<usize, Self> {
+        let product = sizes.iter().try_fold(1usize, |product, &size| product.checked_mul(size));
+        let limit = isize::MAX as usize / size_of::<f32>();
+        let too_many = || Self { what: format!("{what}, at most"), expected: limit, found: usize::MAX };
+        product.filter(|&product| product <= limit).ok_or_else(too_many)
+    }
 }
 
 impl std::fmt::Display for ShapeError {

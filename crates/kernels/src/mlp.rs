@@ -43,6 +43,7 @@ pub struct Mlp {
 struct Layer {
     weights: Panels,
     bias: AlignedBuf,
+    outputs: usize,
     activation: Activation,
 }
 
@@ -94,7 +95,7 @@ impl Mlp {
             });
             let mut bias = AlignedBuf::zeros(padded);
             bias[..outputs].copy_from_slice(layer.bias);
-            packed.push(Layer { weights, bias, activation: layer.activation });
+            packed.push(Layer { weights, bias, outputs, activation: layer.activation });
             width = outputs;
         }
         ShapeError::check("missing layers", 0, usize::from(packed.is_empty()))?;
@@ -119,16 +120,16 @@ impl Mlp {
         let pool = input.pool.max(1);
         ShapeError::check("rows of values beyond whole ones", 0, output.len() % self.outputs.max(1))?;
         let groups = output.len() / self.outputs.max(1);
+        let widest = self.layers.iter().map(|layer| layer.bias.len()).max().unwrap_or(0);
+        let widest = widest.max(self.inputs.next_multiple_of(16));
+        ShapeError::product("values of all rows", &[groups, pool, 2 * widest])?;
         let count = groups * pool;
         ShapeError::check("values of the rows", count * self.inputs, input.rows.len())?;
-        let first = self.layers[0].bias.len();
         if let Some(lookup) = &input.lookup {
-            lookup.check(count, first)?;
+            lookup.check(count, self.layers[0].outputs)?;
         }
         let per_job = (ROWS / pool).max(1);
         let jobs = groups.div_ceil(per_job);
-        let widest = self.layers.iter().map(|layer| layer.bias.len()).max().unwrap_or(0);
-        let widest = widest.max(self.inputs.next_multiple_of(16));
         let to = Shared(output.as_mut_ptr());
         parallel::for_each(jobs, |job| {
             let groups = job * per_job..((job + 1) * per_job).min(groups);
@@ -155,9 +156,11 @@ impl Mlp {
 
 impl Lookup<'_> {
     fn check(&self, rows: usize, width: usize) -> Result<(), ShapeError> {
-        ShapeError::check("entries of a lookup", rows * self.each, self.rows.len())?;
+        ShapeError::check("outputs beyond whole blocks, with a lookup", 0, width % 16)?;
+        let entries = ShapeError::product("entries of a lookup", &[rows, self.each])?;
+        ShapeError::check("entries of a lookup", entries, self.rows.len())?;
         if let Some(weights) = self.weights {
-            ShapeError::check("weights of a lookup", rows * self.each, weights.len())?;
+            ShapeError::check("weights of a lookup", entries, weights.len())?;
         }
         // Whole blocks are added, and tables come from other layers, whose outputs are stored without padding.
         ShapeError::check("looked up values beyond whole blocks", 0, self.table.len() % width.max(1))?;
@@ -408,5 +411,11 @@ mod tests {
         for bad in [&[0, 2][..], &[0, -1], &[0]] {
             assert!(run(lookup(bad), 1, 32).is_err());
         }
+        let huge = MlpInput { rows: &[], lookup: None, pool: 1 << 63 };
+        assert!(mlp.run(huge, &mut [0.0; 32]).is_err(), "the rows are too many to count");
+        let narrow = MlpLayer { weights: &[0.5; 4 * 8], bias: &[0.0; 8], ..layer };
+        let narrow = Mlp::new(isa, 4, &[narrow]).unwrap();
+        let input = MlpInput { rows: &rows, lookup: lookup(&[0, 1]), pool: 1 };
+        assert!(narrow.run(input, &mut [0.0; 16]).is_err(), "looked up in halves of blocks");
     }
 }

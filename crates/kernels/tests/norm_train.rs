@@ -250,4 +250,5 @@ fn wrong_sizes_are_errors() {
     assert!(pool::forward(isa, 3, &x, &affine, &moments).is_err(), "four rows are no groups of three");
     assert!(pool::forward(isa, 0, &x, &affine, &moments).is_err());
     assert!(pool::backward(isa, 2, &x[..6], &[2; 6], &x, &affine, &moments).is_err(), "no third neighbour");
+    assert!(pool::backward(isa, 0, &[], &[], &[], &affine, &moments).is_err());
 }

@@ -108,6 +108,12 @@ pub struct ConfigError {
 }
 
 impl ModelConfig {
+    /// Whether there is a [second look](Self::second_look): scans only.
+    #[must_use]
+    pub fn looks_twice(&self) -> bool {
+        self.second_look && self.modality == Modality::Cloud
+    }
+
     /// The published network for a kind of input, with one output per primitive in the list.
     #[must_use]
     pub fn new(modality: Modality, primitives: &[Primitive]) -> Self {

@@ -172,7 +172,7 @@ fn heads(config: &ModelConfig) -> Vec<Block> {
         head(f + z, 6 * p).block("heads.proposal.decoder"),
         head(f + 6, p * z).linear(h, p * z, 1, rows).block("heads.proposal.encoder"),
     ];
-    if config.second_look {
+    if config.looks_twice() {
         let around = Sizes::new(config.width).around;
         let seen = HAND_VIEWS.len() * around[2];
         let views = HAND_VIEWS

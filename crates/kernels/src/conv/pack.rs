@@ -29,6 +29,12 @@ pub(super) fn pack(
     sources: &[Source],
     weights: Weights<'_>,
 ) -> Result<(Panels, AlignedBuf), ShapeError> {
+    let is_split = |source: &Source| matches!(source, Source::Split(_));
+    let split = if form == Form::UpWinograd { 0 } else { sources.iter().filter(|s| is_split(s)).count() };
+    ShapeError::check("split sources of a form that cannot read them", 0, split)?;
+    if let Form::Direct { stride, .. } = form {
+        ShapeError::check("steps of a convolution (1 is more than none)", 1, stride.min(1))?;
+    }
     let inputs: usize = sources.iter().map(|source| source.channels()).sum();
     let area = form.kernel() * form.kernel();
     ShapeError::check("weights of a convolution", weights.outputs * inputs * area, weights.kernel.len())?;

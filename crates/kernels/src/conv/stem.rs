@@ -25,7 +25,11 @@ impl Picture {
     /// When `values` has another length.
     pub fn fill(&mut self, values: &[f32], shape: [usize; 4], pad: usize) -> Result<(), ShapeError> {
         let [images, channels, height, width] = shape;
-        ShapeError::check("values of the pictures", shape.iter().product(), values.len())?;
+        let count = ShapeError::product("values of the pictures", &shape)?;
+        ShapeError::check("values of the pictures", count, values.len())?;
+        let padded = |side: usize| pad.saturating_mul(2).saturating_add(side);
+        let sizes = [images, padded(height), padded(width), channels.max(1), 2];
+        ShapeError::product("values of the pictures with their borders", &sizes)?;
         *self = Self { data: std::mem::take(&mut self.data), images, channels, height, width, pad };
         let row = self.row();
         // One block more than the pictures: the stem reads whole blocks of 16 values.
@@ -101,6 +105,7 @@ impl Stem {
         stride: usize,
     ) -> Result<Self, ShapeError> {
         let area = size * size;
+        ShapeError::check("steps of the stem (1 is more than none)", 1, stride.min(1))?;
         ShapeError::check("weights of the stem", weights.outputs * channels * area, weights.kernel.len())?;
         let padded = weights.outputs.next_multiple_of(16);
         let mut bias = AlignedBuf::zeros(padded);

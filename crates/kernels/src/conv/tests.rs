@@ -364,6 +364,17 @@ fn wrong_shapes_are_refused() {
         Conv::new(isa, Form::Winograd4, &[Source::Plain(16)], Weights { bias: Some(&[0.0]), ..weights })
             .is_err()
     );
+    let split = Weights { kernel: &kernel[..16 * 4 * 9], ..weights };
+    for form in
+        [Form::Winograd2, Form::Winograd4, Form::UpDirect, Form::Direct { size: 3, stride: 1, pad: 1 }]
+    {
+        assert!(Conv::new(isa, form, &[Source::Split(4)], split).is_err(), "{form:?} reads no split source");
+    }
+    let still = Form::Direct { size: 3, stride: 0, pad: 1 };
+    assert!(Conv::new(isa, still, &[Source::Plain(16)], weights).is_err());
+    assert!(Blocked::from_nchw(&[], 1 << 59, 16, 2, 2).is_err());
+    assert!(Picture::default().fill(&[], [1 << 58, 1, 8, 8], 3).is_err());
+    assert!(Picture::default().fill(&[], [1 << 62, 1, 0, 0], 3).is_err());
     let conv = Conv::new(isa, Form::Winograd4, &[Source::Plain(16)], weights).unwrap();
     let (good, bad) = (Blocked::zeros(1, 16, 8, 8), Blocked::zeros(1, 32, 8, 8));
     let mut workspace = Workspace::default();

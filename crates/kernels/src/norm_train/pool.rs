@@ -56,7 +56,8 @@ pub fn backward(
 ) -> Result<Gradients, ShapeError> {
     let channels = affine.gamma.len();
     check(channels, &[x], &[affine.beta, &moments.mean, &moments.variance])?;
-    ShapeError::check("gradients", x.len() / neighbours.max(1), dy.len())?;
+    ShapeError::check("neighbours (1 is 1 to 256)", 1, usize::from((1..=256).contains(&neighbours)))?;
+    ShapeError::check("gradients", x.len() / neighbours, dy.len())?;
     ShapeError::check("numbers of neighbours", dy.len(), which.len())?;
     ShapeError::check(
         "neighbour beyond the last",

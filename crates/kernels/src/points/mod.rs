@@ -1,7 +1,7 @@
 //! Sampling and neighbourhoods in point clouds.
 //!
 //! A cloud of n points is a slice of 3 n numbers, x y z after x y z; a remainder of one or two numbers is ignored.
-//! No input makes these functions panic. Points with a coordinate that is not finite are neighbours of nothing and
+//! No coordinates make these functions panic. Points with a coordinate that is not finite are neighbours of nothing and
 //! are chosen only when nothing else is left.
 //!
 //! Squared distances are computed as `dx*dx + dy*dy + dz*dz` without fused multiply-add, in this order, so that every

@@ -95,7 +95,7 @@ impl CloudEngine {
         self.head.outputs()
     }
 
-    /// Features `[points, features]` of all points of the hierarchy.
+    /// Features `[targets, features]` of all targets of the hierarchy.
     pub(super) fn run(
         &self,
         hierarchy: &Hierarchy,
@@ -111,12 +111,12 @@ impl CloudEngine {
         }
         let mut coarse = levels.pop().unwrap_or_default();
         let around = match &self.surroundings {
-            Some(net) => Some(net.append(hierarchy.points(), 3, hierarchy.surroundings(), memory)?),
+            Some(net) => Some(net.append(hierarchy.targets(), 3, hierarchy.surroundings(), memory)?),
             None => None,
         };
         for (step, interpolation) in self.up.iter().zip(hierarchy.interpolations().iter().rev()) {
             let level = levels.pop();
-            let skip = level.as_deref().or(around.as_deref()).unwrap_or(hierarchy.points());
+            let skip = level.as_deref().or(around.as_deref()).unwrap_or(hierarchy.targets());
             let finer = step.up(&coarse, skip, interpolation, memory)?;
             memory.give(std::mem::replace(&mut coarse, finer));
             level.into_iter().for_each(|level| memory.give(level));

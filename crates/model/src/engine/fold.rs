@@ -56,13 +56,13 @@ pub(super) fn unet(unet: &UNet) -> Option<UNetLayers> {
     })
 }
 
-/// Takes the linear layer off the end of a U-Net, if it makes more numbers of fewer; in its place is one that passes
-/// them on, with zeros up to a multiple of 16.
+/// Takes the linear layer off the end of a U-Net, if it makes more numbers of fewer or no whole blocks of 16; in its place
+/// is one that passes them on, with zeros up to a multiple of 16.
 pub(super) fn take_head(layers: &mut UNetLayers) -> Option<LinearLayer> {
     let features = layers.head.bias.len();
     let channels = layers.head.kernel.len() / features.max(1);
     let inputs = channels.next_multiple_of(16);
-    if inputs >= features {
+    if inputs >= features && features.is_multiple_of(16) {
         return None;
     }
     let mut same = Folded { kernel: vec![0.0; inputs * channels], bias: vec![0.0; inputs] };

@@ -207,10 +207,10 @@ impl Engine {
         Ok(memory.take_times())
     }
 
-    /// Features of every point of clouds of equal size.
+    /// Features of every target of clouds of equal size: of every point, unless the hierarchy has others.
     ///
     /// # Shapes
-    /// `[b * n, features]`, cloud by cloud
+    /// `[targets, features]`, cloud by cloud
     ///
     /// # Errors
     /// When the network is one for pictures.
@@ -218,7 +218,7 @@ impl Engine {
         let Compiled::Cloud(net) = &self.backbone else {
             return Err(EngineError::Modality { expected: "pictures", found: "clouds" });
         };
-        let mut features = self.take_features(clouds.points().len() / 3 * net.features());
+        let mut features = self.take_features(clouds.targets().len() / 3 * net.features());
         let mut memory = take(&self.cloud_memory);
         let result = net.run(clouds, &mut features.values, &mut memory);
         give(&self.cloud_memory, memory);

@@ -47,7 +47,7 @@ impl Heads {
             actionability: ActionabilityHead::new(config, device),
             score: ScoreHead::new(config, device),
             proposal: ProposalHead::new(config, device),
-            second_look: config.second_look.then(|| SecondLook::new(config, device)),
+            second_look: config.looks_twice().then(|| SecondLook::new(config, device)),
             motion: MotionHead::new(config, device),
         }
     }

@@ -98,7 +98,7 @@ impl CloudInput {
     /// point of a depth map, in the order that [`Self::source`] counts; it is empty for a scan.
     ///
     /// # Errors
-    /// As [`Self::new`].
+    /// As [`Self::new`], and if depth or mask have not the size of the picture.
     pub fn from_observation(
         observation: &Observation,
         scale: CloudScale,
@@ -107,7 +107,13 @@ impl CloudInput {
     ) -> Result<(Self, Vec<Pixel>), PreprocessError> {
         match observation {
             Observation::Cloud { points } => Ok((Self::new(points, scale, config, rng)?, Vec::new())),
-            Observation::Image { .. } => {
+            Observation::Image { size, depth, mask, .. } => {
+                if let Some(depth) = depth {
+                    PreprocessError::check_size("the depth map", *size, depth.len())?;
+                }
+                if let Some(mask) = mask {
+                    PreprocessError::check_size("the mask", *size, mask.len())?;
+                }
                 let (pixels, points): (Vec<_>, Vec<_>) = observation.foreground_points().into_iter().unzip();
                 Ok((Self::new(&points, scale, config, rng)?, pixels))
             }
@@ -181,7 +187,7 @@ impl CloudInput {
     #[must_use]
     pub fn robust_radius(&self) -> f32 {
         robust_radius(
-            self.xyz.chunks_exact(3).map(|p| (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]).sqrt()).collect(),
+            self.dense.chunks_exact(3).map(|p| (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]).sqrt()).collect(),
         )
     }
 }
@@ -197,7 +203,7 @@ fn robust_radius(mut distances: Vec<f32>) -> f32 {
 mod tests {
     use super::*;
     use crate::config::Modality;
-    use where2act_core::{Orientation6, Primitive, Seed};
+    use where2act_core::{ImageSize, Intrinsics, Orientation6, Primitive, Seed};
 
     fn config(points: usize) -> ModelConfig {
         ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(points)
@@ -207,6 +213,21 @@ mod tests {
     fn square(side: f32, per_side: usize) -> Vec<Point3<f32>> {
         let at = |i: usize| side * (i as f32 / (per_side - 1) as f32 - 0.5);
         (0..per_side * per_side).map(|i| Point3::new(at(i % per_side) + 1.0, at(i / per_side), 3.0)).collect()
+    }
+
+    #[test]
+    fn a_depth_map_of_another_size_is_refused() {
+        let size = ImageSize { width: 4, height: 3 };
+        let intrinsics = Some(Intrinsics { fx: 4.0, fy: 4.0, cx: 2.0, cy: 1.5 });
+        let of = |depth, mask| Observation::Image { size, rgb: None, depth, intrinsics, mask };
+        let prepare = |observation: &Observation| {
+            let rng = &mut Seed(1).rng();
+            CloudInput::from_observation(observation, CloudScale::Trained, &config(16), rng).map(|_| ())
+        };
+        assert_eq!(prepare(&of(Some(vec![1.0; 12]), Some(vec![true; 12]))), Ok(()));
+        let refused = |buffer, found| Err(PreprocessError::Size { buffer, expected: 12, found });
+        assert_eq!(prepare(&of(Some(vec![1.0; 11]), None)), refused("the depth map", 11));
+        assert_eq!(prepare(&of(Some(vec![1.0; 12]), Some(vec![true; 5]))), refused("the mask", 5));
     }
 
     #[test]

@@ -98,13 +98,9 @@ impl ImageInput {
         with: &Preprocessing,
     ) -> Result<Self, PreprocessError> {
         let letterbox = Letterbox::new(size, with.image_side)?;
-        let check = |buffer, found| match found == size.pixels() {
-            true => Ok(()),
-            false => Err(PreprocessError::Size { buffer, expected: size.pixels(), found }),
-        };
-        check("the colour buffer", rgb.len())?;
+        PreprocessError::check_size("the colour buffer", size, rgb.len())?;
         if let Some(mask) = mask {
-            check("the mask", mask.len())?;
+            PreprocessError::check_size("the mask", size, mask.len())?;
         }
         let mask = mask.filter(|_| with.white_background);
         let background = if with.white_background { 1.0 } else { 0.0 };

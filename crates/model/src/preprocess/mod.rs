@@ -7,6 +7,8 @@ mod resize;
 pub use cloud::{CloudInput, CloudScale};
 pub use image::{ImageInput, Letterbox};
 
+use where2act_core::ImageSize;
+
 /// Why an observation cannot be shown to a network.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PreprocessError {
@@ -29,4 +31,12 @@ pub enum PreprocessError {
     /// All points are in one place.
     #[error("all {0} points are in one place")]
     OnePlace(usize),
+}
+
+impl PreprocessError {
+    /// Compares the size of a buffer with that of the picture.
+    fn check_size(buffer: &'static str, size: ImageSize, found: usize) -> Result<(), Self> {
+        let expected = size.pixels();
+        if found == expected { Ok(()) } else { Err(Self::Size { buffer, expected, found }) }
+    }
 }

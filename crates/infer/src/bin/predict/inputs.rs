@@ -22,7 +22,8 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
         if given.is_dir() {
             let before = inputs.len();
             for path in files(given)? {
-                if let Some(kind) = file_kind(&path)? {
+                // A png that cannot be opened fails on its own when its turn comes.
+                if let Some(kind) = file_kind(&path).unwrap_or(Some(FileKind::Picture)) {
                     inputs.push(Input { path, kind });
                 }
             }
