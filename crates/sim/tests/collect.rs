@@ -9,6 +9,7 @@ use rand::RngExt;
 use where2act_core::Seed;
 use where2act_core::shard::{Manifest, Shard, list_shards};
 use where2act_sim::collect::{Preparer, Recipe};
+use where2act_sim::object;
 
 /// Six small scenes in shards of two.
 fn collect(out: &Path, more: &[&str]) -> Command {
@@ -174,6 +175,30 @@ fn scenes_are_made_again_from_their_info() {
             assert_eq!(record.trials.len(), 3);
         }
     }
+}
+
+#[test]
+fn an_object_that_cannot_be_loaded_costs_no_other_its_scenes() {
+    let folder = tempfile::tempdir().unwrap();
+    let objects = folder.path().join("objects");
+    let torn = objects.join("Switch").join("torn");
+    fs::create_dir_all(&torn).unwrap();
+    fs::write(torn.join("mobility.urdf"), "<robot").unwrap();
+    let collect = |name: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_collect"));
+        command.args(["--scenes", "4", "--trials", "3", "--quiet", "--objects"]).arg(&objects);
+        command.arg("--out").arg(folder.path().join(name)).output().unwrap()
+    };
+    refused(&collect("nothing"), &["torn", "mobility.urdf"]);
+    assert!(!folder.path().join("nothing").exists());
+
+    let object = object::open("Switch:3").unwrap();
+    object::export(&object, &objects.join("Switch").join("whole")).unwrap();
+    let output = collect("half");
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && told.matches("left out").count() == 2, "{told}");
+    let shards = list_shards(&folder.path().join("half")).unwrap();
+    assert_eq!(Shard::open(&shards[0]).unwrap().scenes().len(), 2);
 }
 
 #[test]

@@ -116,7 +116,8 @@ fn a_report_is_whole_and_the_same_every_time() {
     assert!(again == json, "another number of threads");
 }
 
-/// A drawer above a base. In the second object there is another one behind it, and both push each other apart.
+/// A drawer above a base. In the second object there is another one behind it, and both push each other apart; the third
+/// cannot be loaded.
 fn write_objects(folder: &Path) {
     let shapes = |size: &str, x: f32, z: f32| {
         let shape = format!("<origin xyz=\"{x} 0 {z}\"/><geometry><box size=\"{size}\"/></geometry>");
@@ -139,13 +140,16 @@ fn write_objects(folder: &Path) {
         let urdf = format!("<robot name=\"{name}\">{base}{drawers}</robot>");
         fs::write(object.join("mobility.urdf"), urdf).unwrap();
     }
+    let torn = folder.join("Box").join("torn");
+    fs::create_dir_all(&torn).unwrap();
+    fs::write(torn.join("mobility.urdf"), "<robot").unwrap();
 }
 
 #[test]
 fn objects_take_turns_and_those_without_a_scene_are_named() {
     let (folder, _) = bench();
     write_objects(&folder.path().join("objects"));
-    let (json, markdown) = run(folder.path(), "--objects objects --episodes 4");
+    let (json, markdown) = run(folder.path(), "--objects objects --episodes 6");
     let report: Report = serde_json::from_str(&json).unwrap();
     assert_eq!((report.total.scenes, report.unfinished), (2, 0));
     let scenes: Vec<_> =
@@ -153,10 +157,11 @@ fn objects_take_turns_and_those_without_a_scene_are_named() {
     assert_eq!(scenes, [("Box/free", 2)]);
     let without: Vec<_> =
         report.without_scene.iter().map(|(name, scenes)| (name.as_str(), *scenes)).collect();
-    assert_eq!(without, [("Box/stuck", 2)]);
+    assert_eq!(without, [("Box/stuck", 2), ("Box/torn", 2)]);
     check(&report.total);
     assert!(
-        markdown.contains("Scenes that could not be made") && markdown.contains(": Box/stuck (2)."),
+        markdown.contains("Scenes that could not be made")
+            && markdown.contains(": Box/stuck (2), Box/torn (2)."),
         "{markdown}"
     );
 }

@@ -8,6 +8,8 @@ use rayon::prelude::*;
 use serde_json::Value;
 use where2act_core::shard::{FORMAT, Manifest, SceneRecord, Shard, ShardError, list_shards, write_shard};
 
+use crate::object::ObjectError;
+
 use super::{CollectError, Preparer, Recipe, Tally, collect_scene};
 
 /// Share of a data set that one machine makes: shards k with k % of == index.
@@ -135,8 +137,9 @@ impl Collector {
     /// after the scenes under way, without their shard.
     ///
     /// # Errors
-    /// [`CollectError::Interrupted`] after a stop; else what the file system or an object's file says. Finished
-    /// shards stay; if there are none, nothing does.
+    /// [`CollectError::Interrupted`] after a stop; what the file system says; what an object's file says if it cannot be loaded
+    /// and no scene was made of any other before, else its scenes are left out. Finished shards stay; if there are none, nothing
+    /// does.
     pub fn run(
         &self,
         stop: &AtomicBool,
@@ -186,31 +189,52 @@ impl Collector {
         for shard in missing {
             let records = self.manifest.scenes_of(shard).into_par_iter().map(|index| {
                 if stop.load(Ordering::Relaxed) {
-                    return Ok(None);
+                    return Ok(Ok(None));
                 }
-                let record = collect_scene(&self.preparer, index)?;
+                let record = match collect_scene(&self.preparer, index) {
+                    Err(CollectError::Object(error)) => Err(error),
+                    record => Ok(record?),
+                };
                 with(&mut |s| {
-                    if let Some(record) = &record {
+                    if let Ok(Some(record)) = &record {
                         s.tally.add(&record.trials);
                         s.scenes += 1;
                         s.trials_made += record.trials.len() as u64;
                     }
                     progress(1, s);
                 });
-                if record.is_none() {
+                if matches!(record, Ok(None)) {
                     tracing::warn!("scene {index}: no object settled in view of a camera, left out");
                 }
                 Ok(record)
             });
-            let records: Vec<Option<SceneRecord>> = records.collect::<Result<_, CollectError>>()?;
+            let records: Vec<Result<Option<SceneRecord>, ObjectError>> =
+                records.collect::<Result<_, CollectError>>()?;
             if stop.load(Ordering::Relaxed) {
                 let finished = |k: &u64| Manifest::shard_path(&self.folder, *k).exists();
                 let (done, shards) =
                     (self.shards().filter(finished).count() as u64, self.shards().count() as u64);
                 return Err(CollectError::Interrupted { path: self.folder.clone(), done, shards });
             }
-            let records: Vec<SceneRecord> = records.into_iter().flatten().collect();
-            write_shard(&Manifest::shard_path(&self.folder, shard), &records)?;
+            let (mut made, mut unloadable) = (Vec::new(), Vec::new());
+            for (index, record) in self.manifest.scenes_of(shard).zip(records) {
+                match record {
+                    Ok(record) => made.extend(record),
+                    Err(error) => unloadable.push((index, error)),
+                }
+            }
+            // An object that cannot be loaded costs no other its scenes, if there is any other.
+            let mut scenes = 0;
+            with(&mut |s| scenes = s.scenes);
+            if scenes == 0
+                && let Some((_, error)) = unloadable.pop()
+            {
+                return Err(error.into());
+            }
+            for (index, error) in unloadable {
+                tracing::warn!("scene {index}: {error}, left out");
+            }
+            write_shard(&Manifest::shard_path(&self.folder, shard), &made)?;
             with(&mut |s| s.shards_made += 1);
         }
         Ok(state.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner))

@@ -18,6 +18,7 @@ use where2act_core::{Category, Policy, Primitive, Seed, Trial};
 use where2act_infer::{Options, Predictor};
 use where2act_model::Network;
 use where2act_sim::collect::{CollectError, ObjectSet, Preparer, Recipe, ScenePrep};
+use where2act_sim::object::ObjectError;
 use where2act_sim::sampling::{Candidate, Sampler};
 
 pub use contestants::Contestant;
@@ -136,6 +137,8 @@ enum Outcome {
     Judged(SceneResult),
     /// No scene could be made of this object, or of objects of this category.
     NoScene(String),
+    /// This object cannot be loaded.
+    Unloadable(String, ObjectError),
     /// Someone asked to stop before.
     Stopped,
 }
@@ -160,25 +163,38 @@ pub fn evaluate(
         if judge.stopped() {
             return Ok(Outcome::Stopped);
         }
-        let outcome = match preparer.prepare(index)? {
-            Some(prep) => judge.scene(index, &prep)?,
-            None => Outcome::NoScene(config.objects.turn(index).unwrap_or_default()),
+        let name = || config.objects.turn(index).unwrap_or_default();
+        let outcome = match preparer.prepare(index) {
+            Ok(Some(prep)) => judge.scene(index, &prep)?,
+            Ok(None) => Outcome::NoScene(name()),
+            Err(CollectError::Object(error)) => Outcome::Unloadable(name(), error),
+            Err(error) => return Err(error.into()),
         };
         progress(done.fetch_add(1, Ordering::Relaxed) + 1);
         Ok(outcome)
     };
     let outcomes: Vec<Outcome> =
         (0..config.scenes).into_par_iter().map(one).collect::<Result<_, EvaluateError>>()?;
-    let (mut scenes, mut without_scene) = (Vec::new(), BTreeMap::new());
+    let (mut scenes, mut without_scene, mut unloadable) = (Vec::new(), BTreeMap::new(), None);
     for outcome in outcomes {
         match outcome {
             Outcome::Judged(scene) => scenes.push(scene),
             Outcome::NoScene(name) => *without_scene.entry(name).or_insert(0) += 1,
+            Outcome::Unloadable(name, error) => {
+                tracing::warn!("{error}; its scene is left out");
+                *without_scene.entry(name).or_insert(0) += 1;
+                unloadable = Some(error);
+            }
             Outcome::Stopped => {}
         }
     }
-    if scenes.is_empty() && judge.stopped() {
-        return Err(EvaluateError::Interrupted);
+    if scenes.is_empty() {
+        if judge.stopped() {
+            return Err(EvaluateError::Interrupted);
+        }
+        if let Some(error) = unloadable {
+            return Err(CollectError::Object(error).into());
+        }
     }
     Ok(Report::new(predictor, config, &scenes, without_scene))
 }

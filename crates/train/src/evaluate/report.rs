@@ -180,8 +180,8 @@ impl Report {
                 self.without_scene.iter().map(|(name, scenes)| format!("{name} ({scenes})")).collect();
             let _ = writeln!(
                 text,
-                "Scenes that could not be made, because the object never came to rest with its parts free of each \
-                 other, or no camera saw a movable one: {}.\n",
+                "Scenes that could not be made, because the object cannot be loaded or never came to rest with its \
+                 parts free of each other, or no camera saw a movable one: {}.\n",
                 named.join(", ")
             );
         }
