@@ -17,6 +17,9 @@ use crate::run::NewTrials;
 
 /// Of so many best proposals of a primitive those to try are drawn; the best one always is among them.
 const BEST: usize = 12;
+/// A scene that shows other links at a larger share of its pixels than this is not the one of the data: files of its object
+/// have changed. Other machines may round differently.
+const OTHER_PIXELS: f32 = 0.01;
 
 /// Why there are no new trials.
 #[derive(Debug, thiserror::Error)]
@@ -65,9 +68,15 @@ pub fn explore(
     let drawn = index::sample(&mut seed.rng(), scenes.len(), config.scenes.min(scenes.len())).into_vec();
     let one = |(i, scene): (usize, usize)| -> Result<(SceneId, Vec<Trial>), ExploreError> {
         let id = scenes[scene];
-        let info = &dataset.shards()[id.shard].scenes()[id.scene];
+        let shard = &dataset.shards()[id.shard];
+        let info = &shard.scenes()[id.scene];
         let prep = preparers[dataset.folder_of(id.shard)].restore(info)?;
-        let trials = explore_scene(&predictor, &prep, config, seed.child("scene", i as u64))?;
+        let others = prep.view.link.iter().zip(shard.link(id.scene)).filter(|(made, seen)| made != seen);
+        if others.count() as f32 > OTHER_PIXELS * prep.view.link.len() as f32 {
+            return Err(CollectError::Foreign { scene: info.index, object: info.object.clone() }.into());
+        }
+        let turns = Turns::new(config, predictor.config().primitives.len(), i);
+        let trials = explore_scene(&predictor, &prep, &turns, seed.child("scene", i as u64))?;
         progress();
         Ok((id, trials))
     };
@@ -81,27 +90,41 @@ pub fn explore(
     Ok(explored)
 }
 
+/// Which primitives the trials of a scene are of, as outputs of the network.
+struct Turns {
+    random: Vec<usize>,
+    own: Vec<usize>,
+}
+
+impl Turns {
+    /// Primitives take turns over the trials of all scenes: began each scene with the first one, few trials a scene would
+    /// always be of the same.
+    fn new(config: &AdaptiveConfig, primitives: usize, scene: usize) -> Self {
+        let own = (config.trials as f32 * config.own) as usize;
+        let mut random: Vec<usize> = (0..config.trials).map(|n| (scene + n) % primitives).collect();
+        let own = random.split_off(config.trials - own);
+        Self { random, own }
+    }
+}
+
 fn explore_scene(
     predictor: &Predictor,
     prep: &ScenePrep,
-    config: &AdaptiveConfig,
+    turns: &Turns,
     seed: Seed,
 ) -> Result<Vec<Trial>, ExploreError> {
     let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(Vec::new()) };
     let primitives = &predictor.config().primitives;
     let mut chosen: Vec<(Primitive, Policy, Candidate)> = Vec::new();
-    let own_trials = (config.trials as f32 * config.own) as usize;
-    for n in 0..config.trials - own_trials {
-        let primitive = primitives[n % primitives.len()];
+    for (n, &output) in turns.random.iter().enumerate() {
         let mut rng = seed.child("random", n as u64).rng();
-        chosen.push((primitive, Policy::Random, sampler.random(&mut rng)));
+        chosen.push((primitives[output], Policy::Random, sampler.random(&mut rng)));
     }
     // Photos have no depth map, so the network for pictures has to learn by itself which hands have room.
     let clearance = predictor.config().modality == Modality::Cloud;
     let all = proposals(predictor, prep, &sampler, BEST, clearance, seed)?;
-    for (p, (mut own, &primitive)) in all.into_iter().zip(primitives).enumerate() {
-        // The turns of this primitive among these trials.
-        let count = (own_trials + primitives.len() - 1 - p) / primitives.len();
+    for (output, (mut own, &primitive)) in all.into_iter().zip(primitives).enumerate() {
+        let count = turns.own.iter().filter(|&&turn| turn == output).count();
         if let Some((_, rest)) = own.split_first_mut() {
             rest.shuffle(&mut seed.child("own", primitive as u64).rng());
         }
@@ -109,4 +132,25 @@ fn explore_scene(
     }
     let run = |(primitive, policy, candidate)| prep.run(primitive, policy, &candidate, Mode::Fast);
     Ok(chosen.into_iter().map(run).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_primitive_gets_more_trials_than_another() {
+        for (trials, primitives) in [(12, 6), (24, 6), (5, 3), (4, 1)] {
+            let config = AdaptiveConfig { trials, own: 0.75, ..AdaptiveConfig::default() };
+            let (mut random, mut own) = (vec![0; primitives], vec![0; primitives]);
+            for scene in 0..primitives {
+                let turns = Turns::new(&config, primitives, scene);
+                turns.random.iter().for_each(|&output| random[output] += 1);
+                turns.own.iter().for_each(|&output| own[output] += 1);
+            }
+            let wanted = (trials as f32 * 0.75) as usize;
+            assert_eq!(own, vec![wanted; primitives]);
+            assert_eq!(random, vec![trials - wanted; primitives]);
+        }
+    }
 }

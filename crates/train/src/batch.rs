@@ -126,7 +126,8 @@ pub struct Source {
 }
 
 impl Source {
-    /// A source for a phase of a run. Looking takes any of the scenes; all else needs those with trials, older or newer.
+    /// A source for a phase of a run. Looking takes any of the scenes; all else needs those with trials of what is learnt,
+    /// older or newer.
     #[must_use]
     pub fn new(
         dataset: Arc<Dataset>,
@@ -135,13 +136,16 @@ impl Source {
         config: &TrainConfig,
         phase: Phase,
     ) -> Self {
-        let (model, mut batch, seed) = (config.model(), config.batch.clone(), config.root_seed());
+        let (mut model, mut batch, seed) = (config.model(), config.batch.clone(), config.root_seed());
         let scenes = if phase == Phase::Look {
             batch.places_per_view = batch.looks_per_view;
+            model.second_look = false;
             scenes.into()
         } else {
-            let newer = replay.scenes();
-            scenes.iter().copied().filter(|id| dataset.is_tried(*id) || newer.contains(id)).collect()
+            let primitives = &config.network.primitives;
+            let newer = replay.scenes(primitives);
+            let tried = |id: &SceneId| newer.contains(id) || dataset.is_tried(*id, primitives);
+            scenes.iter().copied().filter(tried).collect()
         };
         Self { dataset, scenes, replay, model, config: batch, seed, teacher: None }
     }

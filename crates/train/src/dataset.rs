@@ -157,12 +157,12 @@ impl Dataset {
         self.scenes_where(part, |_| true)
     }
 
-    /// Those of [`Self::scenes`] that have trials.
+    /// Those of [`Self::scenes`] that have trials of any of these primitives.
     ///
     /// # Errors
     /// [`DataError::EmptyPart`].
-    pub fn tried_scenes(&self, part: Part) -> Result<Vec<SceneId>, DataError> {
-        self.scenes_where(part, |id| self.is_tried(id))
+    pub fn tried_scenes(&self, part: Part, primitives: &[Primitive]) -> Result<Vec<SceneId>, DataError> {
+        self.scenes_where(part, |id| self.is_tried(id, primitives))
     }
 
     fn scenes_where(&self, part: Part, keep: impl Fn(SceneId) -> bool) -> Result<Vec<SceneId>, DataError> {
@@ -180,10 +180,11 @@ impl Dataset {
         Ok(mine)
     }
 
-    /// Whether a scene has trials.
+    /// Whether a scene has trials of any of these primitives.
     #[must_use]
-    pub fn is_tried(&self, id: SceneId) -> bool {
-        self.shards[id.shard].trial_count(id.scene) > 0
+    pub fn is_tried(&self, id: SceneId, primitives: &[Primitive]) -> bool {
+        let trials = self.shards[id.shard].trials(id.scene);
+        trials.is_ok_and(|trials| trials.iter().any(|trial| primitives.contains(&trial.primitive)))
     }
 
     /// Counts trials of some scenes.
@@ -214,5 +215,24 @@ impl Dataset {
             }
         }
         Ok(())
+    }
+}
+
+/// At most so many, evenly over all of them, so that every folder has its share.
+pub(crate) fn spread<T>(all: &[T], most: usize) -> impl Iterator<Item = &T> {
+    let count = most.min(all.len());
+    (0..count).map(move |i| &all[i * all.len() / count])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spread_takes_from_all_over_and_none_twice() {
+        let all: Vec<usize> = (0..10).collect();
+        assert_eq!(spread(&all, 4).copied().collect::<Vec<_>>(), [0, 2, 5, 7]);
+        assert_eq!(spread(&all, 99).copied().collect::<Vec<_>>(), all);
+        assert_eq!(spread(&all[..0], 4).count(), 0);
     }
 }

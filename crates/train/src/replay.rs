@@ -3,7 +3,7 @@
 use std::collections::{HashSet, VecDeque};
 
 use serde::{Deserialize, Serialize};
-use where2act_core::Trial;
+use where2act_core::{Primitive, Trial};
 
 use crate::dataset::SceneId;
 
@@ -43,10 +43,11 @@ impl Replay {
         self.held.iter().filter(move |(id, _)| *id == scene).flat_map(|(_, trials)| trials.iter().copied())
     }
 
-    /// Scenes with trials.
+    /// Scenes with trials of any of these primitives.
     #[must_use]
-    pub fn scenes(&self) -> HashSet<SceneId> {
-        self.held.iter().map(|(id, _)| *id).collect()
+    pub fn scenes(&self, primitives: &[Primitive]) -> HashSet<SceneId> {
+        let wanted = |trials: &[Trial]| trials.iter().any(|trial| primitives.contains(&trial.primitive));
+        self.held.iter().filter(|(_, trials)| wanted(trials)).map(|(id, _)| *id).collect()
     }
 
     /// Trials held in all.
@@ -66,7 +67,7 @@ impl Replay {
 mod tests {
     use super::*;
     use nalgebra::{Point3, Vector3};
-    use where2act_core::{Grasp, Pixel, Policy, Primitive, Verdict};
+    use where2act_core::{Grasp, Pixel, Policy, Verdict};
 
     fn trial(u: u32) -> Trial {
         Trial {
@@ -95,6 +96,8 @@ mod tests {
         assert_eq!(replay.len(), 4);
         assert_eq!(replay.trials(a).map(|t| t.pixel.u).collect::<Vec<_>>(), vec![5, 6]);
         assert_eq!(replay.trials(b).count(), 2);
+        assert_eq!(replay.scenes(&[Primitive::Pushing, Primitive::Pulling]), [a, b].into());
+        assert!(replay.scenes(&[Primitive::Pulling]).is_empty());
         let mut smaller = Replay::new(3);
         smaller.extend(replay.clone());
         assert_eq!((smaller.len(), smaller.trials(a).count()), (2, 2));

@@ -11,11 +11,14 @@ use where2act_model::{Modality, ModelConfig, Network, Weights};
 
 use crate::checkpoint;
 use crate::config::{Optimiser, TrainConfig};
-use crate::dataset::{DataError, Dataset, Folder, SceneId};
+use crate::dataset::{DataError, Dataset, Folder, SceneId, spread};
 use crate::muon::KernelMuon;
 use crate::probes::Learner;
 use crate::replay::Replay;
 use crate::run::{TrainError, files, io};
+
+/// The sizes of scans are those of so many train scenes.
+const RADIUS_SCENES: usize = 400;
 
 /// The optimiser that the configuration names.
 pub(crate) fn optimiser(config: &TrainConfig) -> ModuleOptimizer {
@@ -147,13 +150,14 @@ pub(crate) fn with_scan_radius(
     if model.modality == Modality::Rgb {
         return Ok(model);
     }
+    // The radius is that of the candidates.
+    let one_point = model.clone().with_points(1);
     let mut radii = Vec::new();
-    for (i, id) in scenes.iter().enumerate().take(100) {
+    for (i, id) in spread(scenes, RADIUS_SCENES).enumerate() {
         let shard = &dataset.shards()[id.shard];
         let points: Vec<_> = shard.foreground(id.scene).into_iter().map(|(_, point)| point).collect();
         let mut rng = config.root_seed().child("radius", i as u64).rng();
-        let small = model.clone().with_points(1000);
-        let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), &small, &mut rng)
+        let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), &one_point, &mut rng)
             .map_err(|source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source })?;
         radii.push(cloud.robust_radius());
     }

@@ -100,7 +100,7 @@ pub fn forward(
         weighted_mean((thought - normals).powi_scalar(2).sum_dim(1).reshape([q]), known)
     });
     let seen = Losses { motion, normal, ..Losses::default() };
-    if phase == Phase::Look {
+    if phase == Phase::Look || trials == 0 {
         return seen;
     }
 

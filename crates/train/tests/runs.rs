@@ -350,8 +350,10 @@ fn one_run_looks_at_all_scenes_and_then_learns_from_those_with_trials() {
     boards::write_without_trials(&without, 0..40);
     let data = Arc::new(Dataset::open_all(&[&with, &without], false).unwrap());
     let all = data.scenes(Part::Train).unwrap();
-    let tried = data.tried_scenes(Part::Train).unwrap();
+    let tried = data.tried_scenes(Part::Train, &Primitive::ALL).unwrap();
     assert!(tried.iter().all(|id| data.folder_of(id.shard) == 0));
+    let others = data.tried_scenes(Part::Train, &[Primitive::Pulling]);
+    assert!(matches!(others, Err(DataError::EmptyPart { .. })), "boards are only pushed");
     let untried = *all.iter().find(|id| data.folder_of(id.shard) == 1).unwrap();
     assert_eq!(tried, Dataset::open(&with, false).unwrap().scenes(Part::Train).unwrap());
 

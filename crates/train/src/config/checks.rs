@@ -58,7 +58,7 @@ impl TrainConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.model().validate()?;
         check(!self.name.is_empty(), "name", "\"\"", "at least one letter")?;
-        self.check_start()?;
+        self.check_encoder()?;
         self.check_teacher()?;
         self.check_batch()?;
         self.check_schedule()?;
@@ -66,7 +66,7 @@ impl TrainConfig {
         self.check_trials()
     }
 
-    fn check_start(&self) -> Checked {
+    fn check_encoder(&self) -> Checked {
         let Some(encoder) = &self.encoder else { return Ok(()) };
         check(self.from.is_none(), "encoder", encoder.display(), "no file, as from names all weights")?;
         let NetworkConfig { modality, width, .. } = self.network;

@@ -42,6 +42,11 @@ pub(super) fn lock(out: &Path) -> Result<fs::File, TrainError> {
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(fs::TryLockError::WouldBlock) => Err(TrainError::Busy { path: out.to_owned() }),
+        // Some network file systems have no locks.
+        Err(fs::TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {
+            tracing::warn!("{}: cannot be locked; see to it that no other run writes here", path.display());
+            Ok(file)
+        }
         Err(fs::TryLockError::Error(error)) => Err(io(&path, error)),
     }
 }

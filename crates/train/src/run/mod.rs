@@ -31,13 +31,13 @@ use crate::batch::{Batch, Source};
 use crate::checkpoint::{self, Progress, State};
 use crate::config::{BatchConfig, TrainConfig};
 use crate::curves;
-use crate::dataset::{Dataset, SceneId};
+use crate::dataset::{Dataset, SceneId, spread};
 use crate::replay::Replay;
 use crate::split::Part;
 use crate::start::{first_trials, first_weights, optimiser, random_weights, with_scan_radius};
 use crate::step::{Phase, forward};
 use crate::teacher::Teacher;
-use crate::validate::{Validation, validate};
+use crate::validate::validate;
 
 /// Trials that exploration adds to train scenes.
 pub type NewTrials = Vec<(SceneId, Vec<Trial>)>;
@@ -75,13 +75,13 @@ pub fn train<'a>(
 ) -> Result<Outcome, TrainError> {
     config.validate()?;
     let train_scenes: Arc<[SceneId]> = dataset.scenes(Part::Train)?.into();
-    let mut validation_scenes = if config.phase(config.steps() - 1) == Phase::Look {
+    let validation_scenes = if config.phase(config.steps() - 1) == Phase::Look {
         dataset.scenes(Part::Validation)?
     } else {
         dataset.require_successes(&train_scenes, &config.network.primitives)?;
-        dataset.tried_scenes(Part::Validation)?
+        dataset.tried_scenes(Part::Validation, &config.network.primitives)?
     };
-    validation_scenes.truncate(VALIDATION_SCENES);
+    let validation_scenes = spread(&validation_scenes, VALIDATION_SCENES).copied().collect();
 
     // Held until the run ends, however it ends.
     let _lock = lock(out)?;
@@ -248,10 +248,17 @@ impl Run<'_> {
         self.check_weights()?;
         let network = self.state.learner.network.clone().valid();
         let seed = self.config.root_seed();
-        let validation = validate(&network, &self.dataset, &self.validation_scenes, seed)?;
-        let joint = self.config.phase(self.state.progress.step - 1) == Phase::Joint;
+        let phase = self.config.phase(self.state.progress.step - 1);
+        let joint = phase == Phase::Joint;
+        // Looking does not teach the score.
+        let judged = (phase != Phase::Look)
+            .then(|| validate(&network, &self.dataset, &self.validation_scenes, seed))
+            .transpose()?;
         let ways = self.ways(seed)?;
-        // Proposals and actionability are learnt in the joint phase alone: weights of the first phase cannot be used.
+        let step = self.state.progress.step;
+        self.log(&serde_json::json!({ "step": step, "epoch": epoch, "validation": judged, "ways": ways }))?;
+        let validation = judged.unwrap_or_default();
+        // Proposals and actionability are learnt in the joint phase alone: weights of the phases before cannot be used.
         let is_best = joint && self.state.progress.best.is_none_or(|best| validation.figure > best);
         if is_best {
             self.state.progress.best = Some(validation.figure);
@@ -265,13 +272,9 @@ impl Run<'_> {
                 save(files::WEIGHTS)?;
             }
         } else if self.config.phase(self.config.steps() - 1) == Phase::Look {
-            let card = card(self.config, &self.state.progress, &Validation::default());
+            let card = card(self.config, &self.state.progress, &validation);
             save_weights(&self.out.join(files::LAST), &network, &card, Precision::F16)?;
         }
-        let step = self.state.progress.step;
-        let line =
-            serde_json::json!({ "step": step, "epoch": epoch, "validation": validation, "ways": ways });
-        self.log(&line)?;
         let (validation, network) = (&validation, &network);
         let report = EpochReport { step, joint, epoch, validation, ways, is_best, network };
         let new = (self.control.on_epoch)(&report);

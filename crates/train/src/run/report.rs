@@ -65,7 +65,7 @@ pub struct EpochReport<'a> {
     pub joint: bool,
     /// Number of this epoch, counted from 0.
     pub epoch: usize,
-    /// Metrics on validation scenes.
+    /// Metrics on validation scenes; empty in the look phase.
     pub validation: &'a Validation,
     /// How much the ways that places of validation scenes can go differ from those the network tells, if it learns them.
     pub ways: Option<f32>,
