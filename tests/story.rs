@@ -95,6 +95,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             epoch_steps: 3,
             optimiser: Default::default(),
             rate: 1e-3,
+            trial_rate: None,
             weight_decay: 1e-5,
             decay: Default::default(),
         },

@@ -55,6 +55,7 @@ fn config(modality: Modality) -> TrainConfig {
             epoch_steps: 1,
             optimiser: Default::default(),
             rate: 1e-3,
+            trial_rate: None,
             weight_decay: 0.0,
             decay: Default::default(),
         },

@@ -63,6 +63,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             epoch_steps: 6,
             optimiser: Default::default(),
             rate: 3e-3,
+            trial_rate: None,
             weight_decay: 1e-5,
             decay: Default::default(),
         },

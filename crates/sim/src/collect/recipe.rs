@@ -82,15 +82,21 @@ pub enum ObjectSet {
 }
 
 impl ObjectSet {
-    /// Seeds of the objects that training may see; others are free for judging.
+    /// Seeds of the objects that training draws from unless said otherwise.
     pub const TRAINING_SEEDS: Range<u64> = 0..1000;
-    /// Seeds of objects kept for judging.
+    /// Seeds of objects kept for judging: training never sees them.
     pub const TEST_SEEDS: Range<u64> = 1_000_000..1_000_100;
 
     /// Generated objects of the training categories.
     #[must_use]
     pub fn training() -> Self {
-        Self::Procedural { categories: categories_of(Split::Train), seeds: Self::TRAINING_SEEDS }
+        Self::training_of(Self::TRAINING_SEEDS)
+    }
+
+    /// Generated objects of the training categories, with these seeds.
+    #[must_use]
+    pub fn training_of(seeds: Range<u64>) -> Self {
+        Self::Procedural { categories: categories_of(Split::Train), seeds }
     }
 
     /// The objects in a folder, of `categories` if that is not empty.

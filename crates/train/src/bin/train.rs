@@ -260,18 +260,18 @@ fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
 
 /// Collects what the configuration asks for, or the rest of it: the folders.
 fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Result<Vec<PathBuf>> {
-    let CollectConfig { looks, scenes, trials, guided, randomise } = config.collect;
+    let CollectConfig { looks, look_objects, scenes, trials, guided, randomise } = config.collect;
     let looks = if config.schedule.look_steps > 0 { looks } else { 0 };
     let mut folders = Vec::new();
-    for (number, (suffix, scenes, trials)) in
-        [("", scenes, trials), ("-looks", looks, 0)].into_iter().enumerate()
-    {
+    let kinds = [("", scenes, trials, ObjectSet::TRAINING_SEEDS), ("-looks", looks, 0, 0..look_objects)];
+    for (number, (suffix, scenes, trials, seeds)) in kinds.into_iter().enumerate() {
         if scenes == 0 {
             continue;
         }
         let seed = config.root_seed().child("collect", number as u64);
         let recipe = Recipe {
             seed,
+            objects: ObjectSet::training_of(seeds),
             trials,
             guided: f64::from(guided),
             randomise,

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use where2act_model::Modality;
+use where2act_sim::collect::ObjectSet;
 
 use super::{AdaptiveConfig, Decay, NetworkConfig, ScheduleConfig, TeacherConfig, TrainConfig};
 
@@ -102,7 +103,8 @@ impl TrainConfig {
     }
 
     fn check_schedule(&self) -> Checked {
-        let ScheduleConfig { score_steps, joint_steps, epoch_steps, rate, weight_decay, .. } = self.schedule;
+        let ScheduleConfig { score_steps, joint_steps, epoch_steps, rate, trial_rate, weight_decay, .. } =
+            self.schedule;
         check(self.steps() > 0, "schedule", "0 steps", "at least one step")?;
         // Proposals and actionability are learnt with all heads alone: without such steps there is nothing to keep.
         let kept = joint_steps > 0 || score_steps == 0;
@@ -114,7 +116,10 @@ impl TrainConfig {
             let falls = factor > 0.0 && factor <= 1.0;
             check(falls, "schedule.decay.step.factor", factor, "more than 0, at most 1")?;
         }
-        check(rate > 0.0 && rate < 1.0, "schedule.rate", rate, "more than 0 and less than 1")
+        for (field, rate) in [("schedule.rate", rate), ("schedule.trial_rate", trial_rate.unwrap_or(rate))] {
+            check(rate > 0.0 && rate < 1.0, field, rate, "more than 0 and less than 1")?;
+        }
+        Ok(())
     }
 
     fn check_loss(&self) -> Checked {
@@ -142,6 +147,9 @@ impl TrainConfig {
         check_share("adaptive.own", own)?;
         check(!enabled || buffer >= trials, "adaptive.buffer", buffer, "at least adaptive.trials")?;
         check_share("collect.guided", self.collect.guided)?;
+        let objects = self.collect.look_objects;
+        let fits = (1..=ObjectSet::TEST_SEEDS.start).contains(&objects);
+        check(fits, "collect.look_objects", objects, "at least 1, and none that judges")?;
         check(self.collect.scenes > 0, "collect.scenes", 0, "at least 1")
     }
 }
@@ -163,6 +171,8 @@ mod tests {
             ("weight_decay = -1.0\n", "schedule.weight_decay"),
             ("decay = { step = { steps = 3, factor = 1.5 } }\n", "schedule.decay.step.factor"),
             ("[adaptive]\nenabled = true\nbuffer = 3\n", "adaptive.buffer"),
+            ("[collect]\nlook_objects = 0\n", "collect.look_objects"),
+            ("[collect]\nlook_objects = 1000001\n", "collect.look_objects"),
             ("[collect]\nscenes = 0\n", "collect.scenes"),
         ] {
             let error = load(&(minimal() + extra)).unwrap_err().to_string();

@@ -149,6 +149,10 @@ pub struct ScheduleConfig {
     /// Learning rate at the start.
     #[serde(default = "published_rate")]
     pub rate: f64,
+    /// Learning rate at the start of the steps with trials, after those that only look; `rate` unless said otherwise. A
+    /// high one spoils what the looks have taught.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trial_rate: Option<f64>,
     /// Decay of the weights towards zero.
     #[serde(default = "published_weight_decay")]
     pub weight_decay: f32,
@@ -245,6 +249,8 @@ pub struct AdaptiveConfig {
 pub struct CollectConfig {
     /// Further scenes without trials, for the steps that only look.
     pub looks: u64,
+    /// Generated objects of each category that these scenes draw from, where trials draw from a thousand.
+    pub look_objects: u64,
     /// Scenes.
     pub scenes: u64,
     /// Trials on each.
@@ -318,7 +324,7 @@ impl Default for AdaptiveConfig {
 
 impl Default for CollectConfig {
     fn default() -> Self {
-        Self { looks: 0, scenes: 160, trials: 48, guided: 0.6, randomise: false }
+        Self { looks: 0, look_objects: 1000, scenes: 160, trials: 48, guided: 0.6, randomise: false }
     }
 }
 
@@ -409,14 +415,15 @@ impl TrainConfig {
     #[must_use]
     pub fn rate(&self, step: usize) -> f64 {
         let schedule = &self.schedule;
+        let looks = schedule.look_steps;
+        let rate = if step < looks { schedule.rate } else { schedule.trial_rate.unwrap_or(schedule.rate) };
         match schedule.decay {
-            Decay::Step { steps, factor } => schedule.rate * factor.powi((step / steps.max(1)) as i32),
+            Decay::Step { steps, factor } => rate * factor.powi((step / steps.max(1)) as i32),
             Decay::Cosine => {
-                let looks = schedule.look_steps;
                 let (first, end) = if step < looks { (0, looks) } else { (looks, self.steps()) };
                 let done = (step - first) as f64 / (end - first).max(1) as f64;
                 let share = 0.5 * (1.0 + (std::f64::consts::PI * done).cos());
-                schedule.rate * (0.01 + 0.99 * share)
+                rate * (0.01 + 0.99 * share)
             }
         }
     }
@@ -444,6 +451,15 @@ mod tests {
         assert_eq!(config.network.points, 10_000);
         assert!((config.rate(0) - 1e-3).abs() < 1e-12 && (config.rate(5000) - 9e-4).abs() < 1e-12);
         assert_eq!(toml::from_str::<TrainConfig>(&toml::to_string(&config).unwrap()).unwrap(), config);
+    }
+
+    #[test]
+    fn steps_with_trials_may_have_a_rate_of_their_own() {
+        let text = minimal()
+            .replace("[schedule]", "[schedule]\nlook_steps = 20\ntrial_rate = 1e-4\ndecay = 'cosine'");
+        let config = load(&text).unwrap();
+        let near = |step, rate: f64| (config.rate(step) / rate - 1.0).abs() < 1e-9;
+        assert!(near(0, 1e-3) && near(10, 0.505e-3) && near(20, 1e-4) && near(40, 0.505e-4));
     }
 
     #[test]
