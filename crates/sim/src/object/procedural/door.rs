@@ -13,6 +13,9 @@ struct Doorway {
     opening: Rect,
     /// x of the frame's front and back.
     frame: (f32, f32),
+    /// Leaves open towards the viewer and shut flush with the frame's front, or away from the viewer and shut flush with its
+    /// back: who stands on the side that they do not open to sees them recessed, behind a stop.
+    outwards: bool,
     leaf: Leaf,
 }
 
@@ -65,17 +68,20 @@ pub(super) fn build(b: &mut Builder) {
     let transom = if b.dice.chance(0.15) { h * b.dice.real(0.12, 0.2) } else { 0.0 };
     let opening = Rect { y: (jamb - w / 2.0, w / 2.0 - jamb), z: (sill, h - jamb - transom) };
     let frame = (-deep / 2.0, deep / 2.0);
-    surround(b, [w, h], &Doorway { opening, frame, leaf }, frame_mat);
+    let doorway = Doorway { opening, frame, outwards: b.dice.chance(0.8), leaf };
+    surround(b, [w, h], &doorway, frame_mat);
     if transom > 0.0 {
         let pane = Rect { y: opening.y, z: (opening.z.1 + jamb * 0.6, h - jamb) };
         let bar = Rect { y: opening.y, z: (opening.z.1, pane.z.0) };
         board(b, frame_mat, frame, bar);
         board(b, leaf.glass_mat, (-0.006, 0.006), pane);
     }
-    let doorway = Doorway { opening, frame, leaf };
     if !double && b.dice.chance(0.1) {
         doorway.slide(b);
-    } else if double {
+        return;
+    }
+    doorway.stops(b, frame_mat);
+    if double {
         let gap = (2.0 * leaf.thickness * leaf.thickness / w).max(0.005);
         let halves = opening.grown(-0.004).columns(&[1.0, 1.0], gap);
         // Often only one leaf has a grip that moves.
@@ -115,17 +121,38 @@ fn surround(b: &mut Builder, [w, h]: [f32; 2], doorway: &Doorway, mat: Mat) {
 }
 
 impl Doorway {
-    /// x of the back of a leaf whose front is flush with the frame.
-    fn plane(&self) -> f32 {
-        self.frame.0 + self.leaf.thickness
+    /// x of the front of shut leaves.
+    fn face(&self) -> f32 {
+        if self.outwards { self.frame.0 } else { self.frame.1 - self.leaf.thickness }
     }
 
-    /// A leaf on hinges; most open towards the viewer.
+    /// x of the back of shut leaves.
+    fn plane(&self) -> f32 {
+        self.face() + self.leaf.thickness
+    }
+
+    /// Strips around the opening that shut leaves lie against, as far as the frame has room for them.
+    fn stops(&self, b: &mut Builder, mat: Mat) {
+        let clear = 0.002;
+        let room =
+            if self.outwards { self.frame.1 - self.plane() } else { self.face() - self.frame.0 } - clear;
+        let deep = room.min(0.03);
+        if deep < 0.006 {
+            return;
+        }
+        let near = if self.outwards { self.plane() + clear } else { self.face() - clear - deep };
+        let (x, o, proud) = ((near, near + deep), self.opening, 0.012);
+        board(b, mat, x, Rect { y: (o.y.0, o.y.0 + proud), z: o.z });
+        board(b, mat, x, Rect { y: (o.y.1 - proud, o.y.1), z: o.z });
+        board(b, mat, x, Rect { y: (o.y.0 + proud, o.y.1 - proud), z: (o.z.1 - proud, o.z.1) });
+    }
+
+    /// A leaf on hinges.
     fn hang(&self, b: &mut Builder, rect: Rect, side: Side, grip: Grip) {
         let (edge, sign) = if side == Side::Left { (rect.y.1, -1.0) } else { (rect.y.0, 1.0) };
-        let outwards = b.dice.chance(0.8);
         let open = b.dice.pick(&[1.4, 1.571, 1.571, 2.0]);
-        let (x, limits) = if outwards { (self.frame.0, (0.0, open)) } else { (self.plane(), (-open, 0.0)) };
+        let (x, limits) =
+            if self.outwards { (self.face(), (0.0, open)) } else { (self.plane(), (-open, 0.0)) };
         let motion = Motion::Hinge { at: [x, edge, 0.0], axis: [0.0, 0.0, sign], limits };
         let link = b.link(ROOT, "door", motion);
         let [y, z] = rect.centre();
@@ -204,7 +231,7 @@ impl Doorway {
         let metal = self.leaf.metal;
         let backset = b.dice.real(0.055, 0.1);
         let y = edge - sign * backset;
-        let (face, back) = (self.frame.0, self.plane());
+        let (face, back) = (self.face(), self.plane());
         let plate = b.dice.chance(0.5);
         if plate && grip != Grip::Pull {
             let (half, tall) = (0.028, b.dice.real(0.08, 0.2));
