@@ -455,8 +455,9 @@ mod tests {
 
     #[test]
     fn steps_with_trials_may_have_a_rate_of_their_own() {
-        let text = minimal()
-            .replace("[schedule]", "[schedule]\nlook_steps = 20\ntrial_rate = 1e-4\ndecay = 'cosine'");
+        let schedule =
+            "[loss]\nmotion = 1.0\n[schedule]\nlook_steps = 20\ntrial_rate = 1e-4\ndecay = 'cosine'";
+        let text = minimal().replace("[schedule]", schedule);
         let config = load(&text).unwrap();
         let near = |step, rate: f64| (config.rate(step) / rate - 1.0).abs() < 1e-9;
         assert!(near(0, 1e-3) && near(10, 0.505e-3) && near(20, 1e-4) && near(40, 0.505e-4));
