@@ -173,3 +173,32 @@ fn same_seed_same_object_other_seed_another() {
         }
     }
 }
+
+#[test]
+fn doors_shut_flush_with_the_side_that_they_open_to() {
+    let (mut towards, mut away) = (0, 0);
+    for seed in 0..SEEDS {
+        let object = generate(Category::Door, Seed(seed));
+        let shut = object.world_from_links(&object.closed());
+        let mut sides = Vec::new();
+        for link in object.movable() {
+            let joint = object.joint(link);
+            if object.links[link].label != "door" || joint.kind != JointKind::Revolute {
+                continue;
+            }
+            let points = || object.links[link].pieces.iter().flat_map(|piece| &piece.points);
+            let depth = |pose: &Isometry3<f32>| points().map(|p| (pose * p).x).sum::<f32>();
+            let q = if joint.limits.1 > -joint.limits.0 { 0.5 } else { -0.5 };
+            let open = shut[joint.parent] * joint.parent_from_link(q);
+            // The front faces -x, and frames are as deep before the middle as behind it.
+            let outwards = depth(&open) < depth(&shut[link]);
+            let hinge = (shut[joint.parent] * joint.parent_from_joint).translation.x;
+            assert_eq!(outwards, hinge < 0.0, "{} hinges at {hinge}", object.name);
+            sides.push(outwards);
+        }
+        assert!(sides.windows(2).all(|pair| pair[0] == pair[1]), "{}: leaves open apart", object.name);
+        towards += usize::from(sides.first() == Some(&true));
+        away += usize::from(sides.first() == Some(&false));
+    }
+    assert!(towards > away && away > 0, "{towards} towards the viewer, {away} away");
+}
