@@ -456,7 +456,7 @@ mod tests {
     #[test]
     fn steps_with_trials_may_have_a_rate_of_their_own() {
         let schedule =
-            "[loss]\nmotion = 1.0\n[schedule]\nlook_steps = 20\ntrial_rate = 1e-4\ndecay = 'cosine'";
+            "[loss]\nnormal = 1.0\n[schedule]\nlook_steps = 20\ntrial_rate = 1e-4\ndecay = 'cosine'";
         let text = minimal().replace("[schedule]", schedule);
         let config = load(&text).unwrap();
         let near = |step, rate: f64| (config.rate(step) / rate - 1.0).abs() < 1e-9;
