@@ -69,6 +69,15 @@ impl GripperGeometry {
         [wide_x + narrow * (self.finger_tip_x - wide_x), wide_y + narrow * (self.finger_tip_y - wide_y)]
     }
 
+    /// Heights on the hand's z axis that stand for where it is, metres: the middle of the palm, and four from its front to near
+    /// the finger tips.
+    #[must_use]
+    pub fn along_axis(&self) -> [f32; 5] {
+        let (low, high) = (self.hand_min[2], self.hand_max[2]);
+        let ahead = |share: f32| high + share * (self.tip - high);
+        [0.5 * (low + high), high, ahead(0.25), ahead(0.5), ahead(0.75)]
+    }
+
     /// Corners of the convex left finger in its own frame, metres; the right finger is turned by half a turn about z.
     #[must_use]
     pub fn finger_corners(&self) -> [[f32; 3]; 12] {

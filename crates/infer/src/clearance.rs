@@ -1,6 +1,6 @@
-//! Whether the hand has room: nothing that is seen may be where palm and fingers are at the start, nor where the palm is until
-//! the finger tips touch, nor, for pulling, where the open fingers are before they close. (The simulator's `Clearance` asks the
-//! object itself, of which a camera sees half.)
+//! Whether the hand has room: nothing that is seen may be where palm and fingers are at the start, nor before them, nor where the
+//! palm is until the finger tips touch, nor, for pulling, where the open fingers are before they close. (The simulator's
+//! `Clearance` asks the object itself, of which a camera sees half.)
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::{GRIPPER, Primitive};
@@ -11,7 +11,11 @@ pub(crate) const REACH: f32 = 0.206;
 pub(crate) const GRIP_REACH: f32 = 0.079;
 /// How far inside the hand a point must be, metres: depth cameras are no more exact than that.
 const MARGIN: f32 = 0.002;
-/// Points inside the hand that are more than a flying pixel.
+/// How much nearer to the camera a point must be than the hand to hide it, metres: less than half of the palm's depth.
+const BEFORE: f32 = 0.02;
+/// How far beside the ray from the camera to the hand such a point may be, metres: points are up to some 2 cm apart.
+const BESIDE: f32 = 0.015;
+/// Points inside the hand, or before it, that are more than a flying pixel.
 const ENOUGH: u32 = 2;
 
 /// Points that are compared at a time.
@@ -24,6 +28,8 @@ pub(crate) struct Room {
     /// Points less than [`GRIP_REACH`] away, as densely as they are known: a finger is as wide as three pixels of the published
     /// view. Offsets from the contact point.
     close: Vec<Vector3<f32>>,
+    /// The contact point in the camera frame.
+    contact: Vector3<f32>,
 }
 
 impl Room {
@@ -40,7 +46,8 @@ impl Room {
             offsets.iter_mut().zip(offset.iter()).for_each(|(all, one)| all.push(*one));
         }
         let close = close.map(|point| point - contact);
-        Self { offsets, close: close.filter(|o| o.norm_squared() < GRIP_REACH * GRIP_REACH).collect() }
+        let close = close.filter(|o| o.norm_squared() < GRIP_REACH * GRIP_REACH).collect();
+        Self { offsets, close, contact: contact.coords }
     }
 
     /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm when the finger
@@ -63,7 +70,29 @@ impl Room {
                 return false;
             }
         }
-        primitive != Primitive::Pulling || self.grips(rotation)
+        (primitive != Primitive::Pulling || self.grips(rotation)) && self.begins_in_view(rotation)
+    }
+
+    /// Whether nothing is seen before palm and fingers at the start. Behind what is seen nobody knows of room: it may be a shut
+    /// drawer's inside, or the far side of a window.
+    fn begins_in_view(&self, rotation: &Rotation3<f32>) -> bool {
+        let approach: Vector3<f32> = rotation.matrix().column(2).into();
+        let [xs, ys, zs] = &self.offsets;
+        let mut before = 0;
+        for height in GRIPPER.along_axis() {
+            let hand = approach * (height - Primitive::START_DISTANCE);
+            let ray = (self.contact + hand).normalize();
+            for ((x, y), z) in xs.iter().zip(ys).zip(zs) {
+                let nearer = hand - Vector3::new(*x, *y, *z);
+                let along = ray.dot(&nearer);
+                let beside = nearer.norm_squared() - along * along;
+                before += u32::from((along > BEFORE) & (beside < BESIDE * BESIDE));
+            }
+            if before >= ENOUGH {
+                return false;
+            }
+        }
+        true
     }
 
     /// Whether open fingers at the end of the approach have nothing inside them.
@@ -141,6 +170,29 @@ mod tests {
         assert!(fits(&handle, Pulling) && fits(&seen(0.0, 0.045, 0.013), Pulling));
         // The surface itself, and what is out of reach.
         assert!(fits(&seen(0.0, 0.05, 0.0), Pushing) && seen(0.0, 0.0, -0.3).offsets[0].len() == 1);
+    }
+
+    #[test]
+    fn who_begins_behind_what_is_seen_has_no_room() {
+        // Towards the camera, from behind a surface that is 5 cm before the contact point and reaches 4 cm to all sides.
+        let contact = Point3::new(0.1, -0.2, 1.5);
+        let grid = |i: i32| Vector3::new((i % 9 - 4) as f32, (i / 9 - 4) as f32, -5.0) * 0.01;
+        let surface = |shift: f32| (0..81).map(move |i| contact + grid(i) + Vector3::x() * shift);
+        let room = |shift: f32| Room::new(surface(shift), std::iter::empty(), &contact);
+        let back = Rotation3::from_axis_angle(&Vector3::x_axis(), std::f32::consts::PI);
+        let pushes = |shift: f32| room(shift).fits(Primitive::Pushing, &back);
+        assert!(!pushes(0.0) && !pushes(0.04));
+        // Beside the surface, or with nothing but the surface touched before the hand.
+        assert!(pushes(0.09) && pushes(-0.09));
+        let touched = (0..81).map(|i| contact + grid(i) + Vector3::z() * 0.05);
+        let touched: Vec<_> = touched.collect();
+        assert!(
+            Room::new(touched.iter().copied(), std::iter::empty(), &contact)
+                .fits(Primitive::Pushing, &straight())
+        );
+        assert!(
+            !Room::new(touched.into_iter(), std::iter::empty(), &contact).fits(Primitive::Pushing, &back)
+        );
     }
 
     #[test]

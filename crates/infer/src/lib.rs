@@ -61,9 +61,9 @@
 //! # Room for the hand
 //!
 //! A proposal is left out if the scan or the depth map, masked or not, shows something in the place of the palm or the
-//! fingers at the start, or of the palm until the finger tips touch, or, for pulling, of the open fingers before they
-//! close. So there may be fewer proposals than asked for, or none. What the camera does not see is not considered, nor is the arm
-//! behind the hand. [`Options::clearance`] switches it off.
+//! fingers at the start or before them, or in that of the palm until the finger tips touch, or, for pulling, of the open fingers
+//! before they close. So there may be fewer proposals than asked for, or none. What else the camera does not see is not
+//! considered, nor is the arm behind the hand. [`Options::clearance`] switches it off.
 //!
 //! # Sizes
 //!

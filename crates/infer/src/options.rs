@@ -25,8 +25,8 @@ pub struct Options {
     /// network still sees everything. `None` = anywhere on the object.
     pub region: Option<Vec<bool>>,
     /// Whether hands are left out that have no room: where a scan or a depth map shows something in the place of palm or
-    /// fingers at the start, of the palm until the finger tips touch or, for pulling, of the open fingers before they
-    /// close. There may be fewer proposals then than asked for, or none. Default: true.
+    /// fingers at the start or before them, of the palm until the finger tips touch or, for pulling, of the open fingers
+    /// before they close. There may be fewer proposals then than asked for, or none. Default: true.
     pub clearance: bool,
     /// Root of the randomness of the proposals. The same seed and input give the same bits.
     pub seed: Seed,

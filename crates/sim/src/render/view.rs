@@ -40,6 +40,19 @@ impl View {
         (depth > 0.0).then(|| self.camera.world_from_camera * point)
     }
 
+    /// Whether a point in the world is more than `by` metres of depth behind what is seen before it.
+    #[must_use]
+    pub fn hides(&self, point_in_world: &Point3<f32>, by: f32) -> bool {
+        let Camera { size, intrinsics, world_from_camera } = &self.camera;
+        let point = world_from_camera.inverse_transform_point(point_in_world);
+        let Some((x, y)) = intrinsics.project(&point) else { return false };
+        if !(0.0..size.width as f32).contains(&x) || !(0.0..size.height as f32).contains(&y) {
+            return false;
+        }
+        let depth = self.depth[size.index(Pixel { u: x as u32, v: y as u32 })];
+        depth > 0.0 && point.z > depth + by
+    }
+
     /// Unit normal of the surface seen at the centre of a pixel, on the camera's side; `None` for background.
     #[must_use]
     pub fn normal_in_world(&self, pixel: Pixel) -> Option<Vector3<f32>> {

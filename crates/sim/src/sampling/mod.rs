@@ -6,13 +6,16 @@ mod places;
 
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, RngExt};
-use where2act_core::{Grasp, Pixel, Primitive, Verdict};
+use where2act_core::{GRIPPER, Grasp, Pixel, Primitive, Verdict};
 
 use self::clear::Clear;
 use self::places::Places;
 use crate::object::JointKind;
 use crate::render::View;
 use crate::scene::SettledScene;
+
+/// How far behind what is seen a point of the hand counts as out of view, metres: less than half of the palm's depth.
+const BEHIND: f32 = 0.02;
 
 /// Something to try at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,6 +82,15 @@ impl<'a> Sampler<'a> {
         let (point, normal, link) = self.surface(pixel);
         let grasp_in_world = Grasp::new(point, approach, forward);
         Some(Candidate { pixel, link, grasp_in_world, normal_in_world: normal })
+    }
+
+    /// Whether a hand begins where the camera sees that nothing is, by the middle of its palm and fingers. Behind what is
+    /// seen it may be anywhere: in a shut drawer, or beyond a window.
+    #[must_use]
+    pub fn begins_in_view(&self, grasp: &Grasp) -> bool {
+        let world_from_hand = grasp.hand_at(Primitive::START_DISTANCE);
+        let hidden = |z: f32| self.view.hides(&(world_from_hand * Point3::new(0.0, 0.0, z)), BEHIND);
+        !GRIPPER.along_axis().into_iter().any(hidden)
     }
 
     /// Point, normal and link at a pixel that shows something.

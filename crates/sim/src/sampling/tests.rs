@@ -65,3 +65,18 @@ fn a_way_is_free_until_the_palm_would_be_in_the_part() {
         assert!(free > 20, "{primitive}: {free} free ways");
     }
 }
+
+#[test]
+fn who_comes_from_the_camera_begins_in_view() {
+    let prep = drawers();
+    let sampler = Sampler::new(&prep.settled, &prep.view).unwrap();
+    let mut rng = Seed(4).rng();
+    let eye = Point3::from(prep.view.camera.world_from_camera.translation.vector);
+    for _ in 0..200 {
+        let c = sampler.random(&mut rng);
+        let point = c.grasp_in_world.point;
+        let towards = |approach: Vector3<f32>| Grasp::new(point, approach, c.grasp_in_world.forward());
+        assert!(sampler.begins_in_view(&towards(point - eye)));
+        assert!(!sampler.begins_in_view(&towards(eye - point)));
+    }
+}

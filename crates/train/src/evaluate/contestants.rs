@@ -119,21 +119,30 @@ pub(super) fn along_normal(
     (0..count).into_par_iter().map(one).collect()
 }
 
-/// Trials that know the joint, until one of a handful succeeds.
+/// What came of a trial that knows the joint.
+#[derive(Clone, Copy)]
+pub(super) struct Informed {
+    pub(super) success: bool,
+    /// Whether the hand began where the camera sees that nothing is.
+    pub(super) in_view: bool,
+}
+
+/// Trials that know the joint, until one of a handful that begins in view succeeds.
 pub(super) fn informed(
     prep: &ScenePrep,
     sampler: &Sampler<'_>,
     primitive: Primitive,
     most: usize,
     seed: Seed,
-) -> Vec<bool> {
+) -> Vec<Informed> {
     const AT_ONCE: usize = 8;
     let one = |n: usize| {
         let candidate = sampler.guided(primitive, &mut seed.child("informed", n as u64).rng());
-        run(prep, primitive, Policy::Guided, &candidate).verdict.success
+        let success = run(prep, primitive, Policy::Guided, &candidate).verdict.success;
+        Informed { success, in_view: sampler.begins_in_view(&candidate.grasp_in_world) }
     };
-    let mut outcomes = Vec::new();
-    while outcomes.len() < most && !outcomes.contains(&true) {
+    let mut outcomes: Vec<Informed> = Vec::new();
+    while outcomes.len() < most && !outcomes.iter().any(|of| of.success && of.in_view) {
         let next = outcomes.len()..(outcomes.len() + AT_ONCE).min(most);
         outcomes.extend(next.into_par_iter().map(one).collect::<Vec<_>>());
     }

@@ -123,6 +123,9 @@ pub struct SceneResult {
 pub struct PrimitiveResult {
     /// Whether a trial that knows the joint succeeded.
     pub possible: bool,
+    /// Whether one did whose hand began in view ([`Sampler::begins_in_view`]): what someone can do who stands where the camera
+    /// stands and takes no chances behind what it sees.
+    pub possible_in_view: bool,
     /// Trials of each contestant, in the order they were made.
     pub trials: Vec<(Contestant, Vec<bool>)>,
     /// What came of the network's best proposals, in the same order.
@@ -257,9 +260,10 @@ impl Judge<'_> {
         let config = self.config;
         let seed = prep.info.seed.child("evaluate", 0).child("primitive", primitive as u64);
         let informed = contestants::informed(prep, sampler, primitive, config.informed, seed);
-        result.possible = informed.contains(&true);
+        result.possible = informed.iter().any(|trial| trial.success);
+        result.possible_in_view = informed.iter().any(|trial| trial.success && trial.in_view);
         // The first few only: trying until success would make the rate look worse than it is.
-        let informed: Vec<bool> = informed.into_iter().take(config.proposals).collect();
+        let informed: Vec<bool> = informed.iter().take(config.proposals).map(|trial| trial.success).collect();
         let execute = |candidate: &Candidate| contestants::run(prep, primitive, Policy::Adaptive, candidate);
         let fate = |candidate: &Candidate| Fate::of(&execute(candidate), &prep.info.freedoms);
         result.fates = own.par_iter().take(config.proposals).map(fate).collect();

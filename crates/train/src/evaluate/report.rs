@@ -52,6 +52,10 @@ pub struct Row {
     pub possible_scenes: u64,
     /// Success rate of each contestant, in the order of [`Contestant::ALL`].
     pub rates: Vec<(Contestant, Rate)>,
+    /// Of these scenes, those in which such a trial succeeded that began in view.
+    pub possible_in_view: u64,
+    /// The rates in the scenes of [`Self::possible_in_view`].
+    pub rates_in_view: Vec<(Contestant, Rate)>,
     /// How many of the best proposals met each fate, in the order of [`Fate::ALL`]; the first are top-k's successes.
     pub fates: Vec<(Fate, u64)>,
     /// The score on random trials in all scenes, possible or not.
@@ -136,6 +140,7 @@ impl Report {
             }
             text += "\n";
         }
+        text += &self.in_view_table();
         text += &self.fates_table();
         text += "\nThe score on random trials (threshold 0.5; intervals by bootstrap over scenes):\n\n";
         text += "| primitive | trials | successes | F-score | precision | recall | average precision | calibration error |\n";
@@ -196,6 +201,24 @@ impl Report {
                 self.config.informed,
                 hopeless.join(", ")
             );
+        }
+        text
+    }
+
+    /// What the proposals do where they can do something.
+    fn in_view_table(&self) -> String {
+        let mut text = "\nThe same in those of these scenes in which a trial that knows the joint succeeds from where the \
+             camera sees that nothing is. In the others every such success began behind what is seen, in a shut drawer or beyond \
+             a window, where nobody comes from who stands where the camera stands.\n\n| primitive | scenes | top-1 | top-k |"
+            .to_owned();
+        text += &separator(4);
+        for row in &self.total.rows {
+            let _ = write!(text, "| {} | {} |", row.primitive, row.possible_in_view);
+            let shown = [Contestant::TopOne, Contestant::TopK];
+            for (_, rate) in row.rates_in_view.iter().filter(|(contestant, _)| shown.contains(contestant)) {
+                let _ = write!(text, " {} |", rate.show());
+            }
+            text += "\n";
         }
         text
     }
@@ -278,17 +301,20 @@ impl Row {
     }
 }
 
-fn row(primitive: &str, results: &[&PrimitiveResult], seed: Seed) -> Row {
-    let possible: Vec<_> = results.iter().filter(|r| r.possible).collect();
+/// Success rate of each contestant in some scenes.
+fn rates(scenes: &[&PrimitiveResult]) -> Vec<(Contestant, Rate)> {
     let rate = |contestant: Contestant| {
-        let outcomes: Vec<bool> = possible
-            .iter()
-            .flat_map(|r| {
-                r.trials.iter().filter(|(c, _)| *c == contestant).flat_map(|(_, o)| o.iter().copied())
-            })
-            .collect();
-        Rate::new(outcomes.iter().filter(|o| **o).count() as u64, outcomes.len() as u64)
+        let trials = scenes.iter().flat_map(|scene| &scene.trials);
+        let mine = trials.filter(|(who, _)| *who == contestant);
+        let outcomes: Vec<bool> = mine.flat_map(|(_, outcomes)| outcomes.iter().copied()).collect();
+        (contestant, Rate::new(outcomes.iter().filter(|o| **o).count() as u64, outcomes.len() as u64))
     };
+    Contestant::ALL.map(rate).to_vec()
+}
+
+fn row(primitive: &str, results: &[&PrimitiveResult], seed: Seed) -> Row {
+    let possible: Vec<&PrimitiveResult> = results.iter().copied().filter(|r| r.possible).collect();
+    let in_view: Vec<&PrimitiveResult> = possible.iter().copied().filter(|r| r.possible_in_view).collect();
     let count = |fate: Fate| possible.iter().flat_map(|r| &r.fates).filter(|f| **f == fate).count() as u64;
     let of_scenes: Vec<&[(f32, bool)]> = results.iter().map(|r| r.scored.as_slice()).collect();
     let scored = of_scenes.concat();
@@ -296,7 +322,9 @@ fn row(primitive: &str, results: &[&PrimitiveResult], seed: Seed) -> Row {
     Row {
         primitive: primitive.to_owned(),
         possible_scenes: possible.len() as u64,
-        rates: Contestant::ALL.map(|c| (c, rate(c))).to_vec(),
+        rates: rates(&possible),
+        possible_in_view: in_view.len() as u64,
+        rates_in_view: rates(&in_view),
         fates: Fate::ALL.map(|fate| (fate, count(fate))).to_vec(),
         score: ScoreMetrics::new(&scored),
         f_score_interval: f_score_interval(&of_scenes, &mut seed.rng()),
@@ -313,6 +341,7 @@ mod tests {
     fn impossible_scenes_do_not_count_for_rates_but_for_the_score() {
         let scene = |possible: bool, success: bool| PrimitiveResult {
             possible,
+            possible_in_view: success,
             trials: vec![(Contestant::TopOne, vec![success])],
             fates: vec![if success { Fate::Success } else { Fate::NoHold }],
             scored: vec![(0.9, success)],
@@ -320,6 +349,10 @@ mod tests {
         let (a, b, c) = (scene(true, true), scene(true, false), scene(false, false));
         let row = row("pushing", &[&a, &b, &c], Seed(0));
         assert_eq!((row.possible_scenes, row.rates[0].1.successes, row.rates[0].1.tries), (2, 1, 2));
+        assert_eq!(
+            (row.possible_in_view, row.rates_in_view[0].1.successes, row.rates_in_view[0].1.tries),
+            (1, 1, 1)
+        );
         assert_eq!(row.score.trials, 3);
         assert_eq!(
             (row.count(Fate::Success), row.count(Fate::NoHold), row.count(Fate::NoApproach)),

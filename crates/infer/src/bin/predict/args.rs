@@ -75,8 +75,8 @@ pub(crate) struct Args {
     /// Only this pixel: what can be done here? For scans: the index of a point and 0.
     #[arg(long, value_name = "U,V", value_delimiter = ',')]
     pixel: Vec<u32>,
-    /// Keep hands that have no room: those that would touch something, by the scan or depth map, before they should, and those
-    /// that cannot close around what they would pull.
+    /// Keep hands that have no room: those that would touch something, by the scan or depth map, before they should, those that
+    /// would begin behind what is seen, and those that cannot close around what they would pull.
     #[arg(long)]
     no_clearance: bool,
     /// Network units per metre, for depth maps and scans.
