@@ -132,7 +132,7 @@ pub fn collect_scene(preparer: &Preparer, index: u64) -> Result<Option<SceneReco
         let rng = &mut seed.rng();
         let primitive = recipe.primitives[n % recipe.primitives.len()];
         let (policy, candidate) = if rng.random_bool(recipe.guided.clamp(0.0, 1.0)) {
-            (Policy::Guided, sampler.guided(primitive, rng))
+            (Policy::Guided, sampler.guided_in_view(primitive, rng))
         } else {
             (Policy::Random, sampler.random(rng))
         };

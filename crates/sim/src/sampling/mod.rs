@@ -17,6 +17,9 @@ use crate::scene::SettledScene;
 /// How far behind what is seen a point of the hand counts as out of view, metres: less than half of the palm's depth.
 const BEHIND: f32 = 0.02;
 
+/// Guided candidates looked at before one that begins out of view is taken.
+const TRIES_IN_VIEW: usize = 20;
+
 /// Something to try at a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
@@ -73,6 +76,20 @@ impl<'a> Sampler<'a> {
     #[must_use]
     pub fn guided(&self, primitive: Primitive, rng: &mut impl Rng) -> Candidate {
         guided::candidate(self, primitive, rng)
+    }
+
+    /// [`Self::guided`], of a hand that [begins in view](Self::begins_in_view) where such a one is found: what networks learn
+    /// from. Those that push a shut drawer open from inside it would teach them that its front gives.
+    #[must_use]
+    pub fn guided_in_view(&self, primitive: Primitive, rng: &mut impl Rng) -> Candidate {
+        let mut candidate = self.guided(primitive, rng);
+        for _ in 1..TRIES_IN_VIEW {
+            if self.begins_in_view(&candidate.grasp_in_world) {
+                break;
+            }
+            candidate = self.guided(primitive, rng);
+        }
+        candidate
     }
 
     /// A candidate with a given orientation at a given pixel; `None` unless it shows a movable link.

@@ -80,3 +80,16 @@ fn who_comes_from_the_camera_begins_in_view() {
         assert!(!sampler.begins_in_view(&towards(eye - point)));
     }
 }
+
+#[test]
+fn networks_learn_from_hands_that_begin_in_view() {
+    let prep = drawers();
+    let sampler = Sampler::new(&prep.settled, &prep.view).unwrap();
+    let mut rng = Seed(5).rng();
+    let mut hidden = |next: &dyn Fn(&mut rand_chacha::ChaCha8Rng) -> Candidate| {
+        (0..200).filter(|_| !sampler.begins_in_view(&next(&mut rng).grasp_in_world)).count()
+    };
+    let anywhere = hidden(&|rng| sampler.guided(Primitive::Pushing, rng));
+    let in_view = hidden(&|rng| sampler.guided_in_view(Primitive::Pushing, rng));
+    assert!(anywhere > 10 && in_view <= 1, "{anywhere} {in_view} of 200 begin behind what is seen");
+}
