@@ -62,12 +62,9 @@ fn check(judgement: &Judgement) {
         assert_eq!((sampled, random, along_normal), (best_two, 2 * row.possible_scenes, random));
         assert!(informed <= 2 * row.possible_scenes);
         assert!(row.possible_in_view <= row.possible_scenes);
-        let in_view = row.rates_in_view.iter().zip(&row.rates);
-        assert!(
-            in_view
-                .clone()
-                .all(|((who, part), (same, whole))| who == same && part.successes <= whole.successes)
-        );
+        for ((who, in_view), (same, whole)) in row.rates_in_view.iter().zip(&row.rates) {
+            assert!(who == same && in_view.successes <= whole.successes && in_view.tries <= whole.tries);
+        }
         assert_eq!(row.rates_in_view[0].1.tries, row.possible_in_view);
         for (contestant, rate) in &row.rates {
             assert!(rate.successes <= rate.tries, "{contestant:?} {rate:?}");

@@ -471,6 +471,9 @@ mod tests {
             names.push(TrainConfig::load(&entry.unwrap().path()).unwrap().name);
         }
         names.sort();
-        assert_eq!(names, ["paper-pushing", "quick-cloud", "where2act-cloud", "where2act-rgb"]);
+        assert_eq!(
+            names,
+            ["paper-pushing", "quick-cloud", "where2act-cloud", "where2act-cloud", "where2act-rgb"]
+        );
     }
 }
