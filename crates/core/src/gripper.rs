@@ -59,6 +59,9 @@ pub const GRIPPER: GripperGeometry = GripperGeometry {
 };
 
 impl GripperGeometry {
+    /// How far behind what is seen a point of the hand counts as out of view, metres: less than half of the palm's depth.
+    pub const OUT_OF_VIEW: f32 = 0.02;
+
     /// Half the width along x of a finger, and its outer y, at a height in its own frame, metres: of
     /// [`Self::finger_corners`]' hull.
     #[inline]

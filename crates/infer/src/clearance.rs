@@ -3,7 +3,7 @@
 //! `Clearance` asks the object itself, of which a camera sees half.)
 
 use nalgebra::{Point3, Rotation3, Vector3};
-use where2act_core::{GRIPPER, Primitive};
+use where2act_core::{GRIPPER, GripperGeometry, Primitive};
 
 /// Farthest that a part of the hand is from the contact point at the start, metres: the corners of the palm's back.
 pub(crate) const REACH: f32 = 0.206;
@@ -11,9 +11,7 @@ pub(crate) const REACH: f32 = 0.206;
 pub(crate) const GRIP_REACH: f32 = 0.079;
 /// How far inside the hand a point must be, metres: depth cameras are no more exact than that.
 const MARGIN: f32 = 0.002;
-/// How much nearer to the camera a point must be than the hand to hide it, metres: less than half of the palm's depth.
-const BEFORE: f32 = 0.02;
-/// How far beside the ray from the camera to the hand such a point may be, metres: points are up to some 2 cm apart.
+/// How far beside the ray from the camera to the hand a point may be that hides it, metres: points are up to some 2 cm apart.
 const BESIDE: f32 = 0.015;
 /// Points inside the hand, or before it, that are more than a flying pixel.
 const ENOUGH: u32 = 2;
@@ -86,7 +84,7 @@ impl Room {
                 let nearer = hand - Vector3::new(*x, *y, *z);
                 let along = ray.dot(&nearer);
                 let beside = nearer.norm_squared() - along * along;
-                before += u32::from((along > BEFORE) & (beside < BESIDE * BESIDE));
+                before += u32::from((along > GripperGeometry::OUT_OF_VIEW) & (beside < BESIDE * BESIDE));
             }
             if before >= ENOUGH {
                 return false;

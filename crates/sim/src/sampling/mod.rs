@@ -6,16 +6,13 @@ mod places;
 
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, RngExt};
-use where2act_core::{GRIPPER, Grasp, Pixel, Primitive, Verdict};
+use where2act_core::{GRIPPER, Grasp, GripperGeometry, Pixel, Primitive, Verdict};
 
 use self::clear::Clear;
 use self::places::Places;
 use crate::object::JointKind;
 use crate::render::View;
 use crate::scene::SettledScene;
-
-/// How far behind what is seen a point of the hand counts as out of view, metres: less than half of the palm's depth.
-const BEHIND: f32 = 0.02;
 
 /// Guided candidates looked at before one that begins out of view is taken.
 const TRIES_IN_VIEW: usize = 20;
@@ -106,7 +103,9 @@ impl<'a> Sampler<'a> {
     #[must_use]
     pub fn begins_in_view(&self, grasp: &Grasp) -> bool {
         let world_from_hand = grasp.hand_at(Primitive::START_DISTANCE);
-        let hidden = |z: f32| self.view.hides(&(world_from_hand * Point3::new(0.0, 0.0, z)), BEHIND);
+        let hidden = |z: f32| {
+            self.view.hides(&(world_from_hand * Point3::new(0.0, 0.0, z)), GripperGeometry::OUT_OF_VIEW)
+        };
         !GRIPPER.along_axis().into_iter().any(hidden)
     }
 
