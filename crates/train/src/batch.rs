@@ -1,5 +1,6 @@
 //! From scenes to what one training step sees. A batch is a pure function of the data, the configuration and a seed.
 
+use std::collections::HashSet;
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
@@ -20,6 +21,9 @@ use crate::replay::Replay;
 use crate::sensor;
 use crate::step::Phase;
 use crate::teacher::{Desk, Lesson, Teacher, join};
+
+/// So many last rounds of online sampling count as the newest.
+const NEWEST_ROUNDS: usize = 8;
 
 /// What the network is shown and asked.
 #[derive(Clone, Debug)]
@@ -113,6 +117,8 @@ pub struct Source {
     pub dataset: Arc<Dataset>,
     /// Scenes to draw from.
     pub scenes: Arc<[SceneId]>,
+    /// Those of them that some views of every step are drawn from, and how many.
+    pub newest: (Arc<[SceneId]>, usize),
     /// Newer trials on the same scenes.
     pub replay: Arc<Replay>,
     /// What is trained.
@@ -137,6 +143,7 @@ impl Source {
         phase: Phase,
     ) -> Self {
         let (mut model, mut batch, seed) = (config.model(), config.batch.clone(), config.root_seed());
+        let mut newest = Vec::new();
         let scenes = if phase == Phase::Look {
             batch.places_per_view = batch.looks_per_view;
             model.second_look = false;
@@ -144,28 +151,29 @@ impl Source {
         } else {
             let primitives = &config.network.primitives;
             let newer = replay.scenes(primitives);
+            let known: HashSet<SceneId> = scenes.iter().copied().collect();
+            let rounds = replay.newest(NEWEST_ROUNDS * config.adaptive.scenes);
+            newest.extend(rounds.into_iter().filter(|id| known.contains(id) && newer.contains(id)));
             let tried = |id: &SceneId| newer.contains(id) || dataset.is_tried(*id, primitives);
             scenes.iter().copied().filter(tried).collect()
         };
-        Self { dataset, scenes, replay, model, config: batch, seed, teacher: None }
+        let of_newest = if newest.is_empty() {
+            0
+        } else {
+            (config.adaptive.newest * batch.views as f32).round() as usize
+        };
+        let newest = (newest.into(), of_newest);
+        Self { dataset, scenes, newest, replay, model, config: batch, seed, teacher: None }
     }
 
-    /// Scenes of a step: every scene comes once before any comes again, in an order that changes every time.
+    /// Scenes of a step: of each kind every scene comes once before any comes again, in an order that changes every time. (New
+    /// trials between epochs change the scenes and begin another order.)
     #[must_use]
     pub fn scenes_of(&self, step: usize) -> Vec<SceneId> {
-        let n = self.scenes.len();
-        let mut order: Option<(usize, Vec<usize>)> = None;
-        (step * self.config.views..(step + 1) * self.config.views)
-            .map(|position| {
-                let (round, place) = (position / n, position % n);
-                if order.as_ref().is_none_or(|(r, _)| *r != round) {
-                    let mut shuffled: Vec<usize> = (0..n).collect();
-                    shuffled.shuffle(&mut self.seed.child("order", round as u64).rng());
-                    order = Some((round, shuffled));
-                }
-                self.scenes[order.as_ref().map_or(place, |(_, shuffled)| shuffled[place])]
-            })
-            .collect()
+        let (newest, count) = &self.newest;
+        let mut scenes = deal(newest, *count, step, self.seed.child("newest", 0));
+        scenes.extend(deal(&self.scenes, self.config.views - count, step, self.seed));
+        scenes
     }
 
     /// The batch of a step.
@@ -233,6 +241,23 @@ impl Source {
         }
         Ok(view)
     }
+}
+
+/// `count` scenes for each step in turn, shuffled anew whenever all have come.
+fn deal(scenes: &[SceneId], count: usize, step: usize, seed: Seed) -> Vec<SceneId> {
+    let n = scenes.len();
+    let mut order: Option<(usize, Vec<usize>)> = None;
+    (step * count..(step + 1) * count)
+        .map(|position| {
+            let (round, place) = (position / n, position % n);
+            if order.as_ref().is_none_or(|(r, _)| *r != round) {
+                let mut shuffled: Vec<usize> = (0..n).collect();
+                shuffled.shuffle(&mut seed.child("order", round as u64).rng());
+                order = Some((round, shuffled));
+            }
+            scenes[order.as_ref().map_or(place, |(_, shuffled)| shuffled[place])]
+        })
+        .collect()
 }
 
 /// What the scene knows of what is seen at some pixels. Nobody knows where the scanner measured nothing, nor the ways in

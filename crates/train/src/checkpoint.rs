@@ -22,7 +22,7 @@ pub struct Progress {
     pub best: Option<f64>,
     /// Seconds of training so far, over all interruptions.
     pub secs: f64,
-    /// SHA-256 of the configuration and of the data's manifest.
+    /// SHA-256 of the configuration and of what the data holds.
     pub fingerprint: String,
     /// SHA-256 of the teacher's weights, if the run has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -54,7 +54,7 @@ pub enum CheckpointError {
         source: std::io::Error,
     },
     /// It holds something else than this run needs.
-    #[error("{}: {why}", path.display())]
+    #[error("{}: {why}; without the folder of that checkpoint a run goes on from the one before", path.display())]
     Damaged {
         /// Which file.
         path: PathBuf,
@@ -194,6 +194,6 @@ fn read(checkpoint: &Path, name: &str) -> Result<Vec<u8>, CheckpointError> {
 
 /// What must be the same for a run to be resumed: its configuration and its data.
 #[must_use]
-pub fn fingerprint(config: &str, manifest: &str) -> String {
-    sha256_hex(format!("{config}\0{manifest}").as_bytes())
+pub fn fingerprint(config: &str, data: &str) -> String {
+    sha256_hex(format!("{config}\0{data}").as_bytes())
 }

@@ -4,7 +4,7 @@ use rand::RngExt;
 use rand::seq::{IndexedRandom, SliceRandom};
 use rand_chacha::ChaCha8Rng;
 use where2act_core::shard::{DEPTH_SIDE, RGB_SIDE};
-use where2act_core::{Orientation6, Pixel, Policy, Primitive, Trial};
+use where2act_core::{Invalid, Orientation6, Pixel, Policy, Primitive, Trial};
 use where2act_model::{Modality, ModelConfig};
 
 use crate::config::BatchConfig;
@@ -20,13 +20,16 @@ pub(crate) struct Question {
     /// `[approach, forward]` in the camera frame.
     pub(crate) orientation: [f32; 6],
     pub(crate) success: bool,
+    /// Whether the hand comes from behind: flipped, it would come from the front, and nobody knows what of that.
+    from_behind: bool,
 }
 
 impl Question {
     fn of(trial: &Trial, output: usize) -> Self {
         let orientation = Orientation6::from_rotation(&trial.grasp_in_camera.rotation).0;
-        let (pixel, primitive, success) = (trial.pixel, trial.primitive, trial.verdict.success);
-        Self { pixel, output, primitive, orientation, success }
+        let (pixel, primitive, verdict) = (trial.pixel, trial.primitive, &trial.verdict);
+        let from_behind = verdict.invalid == Some(Invalid::ApproachFromBehind);
+        Self { pixel, output, primitive, orientation, success: verdict.success, from_behind }
     }
 
     /// The question about the scene as a mirror shows it, left and right swapped; its pixel stays that of the unmirrored
@@ -167,7 +170,7 @@ pub(crate) fn choose(
     }
     let mut free = Vec::new();
     for question in &chosen {
-        if rng.random::<f32>() < config.flipped {
+        if rng.random::<f32>() < config.flipped && !question.from_behind {
             let mut flipped = Question { success: false, ..*question };
             flipped.orientation[..3].iter_mut().for_each(|x| *x = -*x);
             free.push(flipped);
@@ -298,6 +301,11 @@ mod tests {
         assert_eq!(questions.iter().filter(|q| q.success).count(), 2);
         assert!(questions[..4].iter().any(|q| q.pixel == Pixel { u: 1, v: 1 } && !q.success));
         assert_eq!(questions[4..].iter().filter(|q| q.pixel == Pixel { u: 3, v: 5 }).count(), 4);
+        // Flipped, a hand from behind would come from the front.
+        let mut behind = trial(Primitive::Pushing, Policy::Adaptive, false);
+        behind.verdict.invalid = Some(Invalid::ApproachFromBehind);
+        let questions = choose(&[behind; 3], &ground, &model, &config, &mut Seed(1).rng());
+        assert!(questions.len() == 4 && questions[2..].iter().all(|q| q.pixel == Pixel { u: 3, v: 5 }));
         let of_fixed = |ground: &Ground| {
             let places = places(ground, &model, &config, &mut Seed(2).rng());
             assert_eq!(places.len(), config.places_per_view);

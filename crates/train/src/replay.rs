@@ -50,6 +50,14 @@ impl Replay {
         self.held.iter().filter(|(_, trials)| wanted(trials)).map(|(id, _)| *id).collect()
     }
 
+    /// Scenes of the last additions, each once.
+    #[must_use]
+    pub fn newest(&self, additions: usize) -> Vec<SceneId> {
+        let mut seen = HashSet::new();
+        let last = self.held.iter().rev().take(additions).map(|(id, _)| *id);
+        last.filter(|id| seen.insert(*id)).collect()
+    }
+
     /// Trials held in all.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -98,6 +106,7 @@ mod tests {
         assert_eq!(replay.trials(b).count(), 2);
         assert_eq!(replay.scenes(&[Primitive::Pushing, Primitive::Pulling]), [a, b].into());
         assert!(replay.scenes(&[Primitive::Pulling]).is_empty());
+        assert_eq!((replay.newest(1), replay.newest(2), replay.newest(9)), (vec![a], vec![a, b], vec![a, b]));
         let mut smaller = Replay::new(3);
         smaller.extend(replay.clone());
         assert_eq!((smaller.len(), smaller.trials(a).count()), (2, 2));

@@ -6,6 +6,9 @@ use burn::module::ParamGroup;
 use burn::optim::decay::WeightDecayConfig;
 use burn::optim::{AdamConfig, AdjustLrFn, ModuleOptimizer, MuonConfig};
 use burn::tensor::Device;
+use rayon::prelude::*;
+use where2act_core::sha256_hex;
+use where2act_core::shard::Shard;
 use where2act_model::preprocess::{CloudInput, CloudScale};
 use where2act_model::{Modality, ModelConfig, Network, Weights};
 
@@ -109,6 +112,7 @@ fn difference(found: &ModelConfig, expected: &ModelConfig) -> Option<[String; 3]
 /// The newer trials to begin with: those of the runs that the configuration names.
 pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Replay, TrainError> {
     let mut trials = Replay::new(config.adaptive.buffer);
+    let contents = if config.replay.is_empty() { Vec::new() } else { contents(dataset)? };
     for run in &config.replay {
         let (path, checkpoints) = (run.join(files::CONFIG), run.join(files::CHECKPOINTS));
         let text = fs::read_to_string(&path).map_err(|e| io(&path, e))?;
@@ -116,8 +120,7 @@ pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Re
         let newest = newest.ok_or_else(|| io(&checkpoints, std::io::ErrorKind::NotFound.into()))?;
         let (theirs, progress) = checkpoint::without_weights(&newest)?;
         // Scenes keep their numbers when folders come after theirs.
-        let names = manifests(dataset)?;
-        let mut begins = (1..=names.len()).map(|n| names[..n].concat());
+        let mut begins = (1..=contents.len()).map(|n| contents[..n].concat());
         if !begins.any(|data| progress.fingerprint == checkpoint::fingerprint(&text, &data)) {
             return Err(TrainError::OtherData { path: run.clone() });
         }
@@ -132,10 +135,22 @@ pub(crate) fn first_trials(config: &TrainConfig, dataset: &Dataset) -> Result<Re
     Ok(trials)
 }
 
-/// What tells one data set from another: a text for each of its folders.
-pub(crate) fn manifests(dataset: &Dataset) -> Result<Vec<String>, TrainError> {
+/// What tells one data set from another: a text for each of its folders. The same recipe makes other scenes and trials with
+/// another version of the generators, so that what the scenes are and what the trials found counts too.
+pub(crate) fn contents(dataset: &Dataset) -> Result<Vec<String>, TrainError> {
+    let of_shard = |shard: &Shard| {
+        let mut bytes = serde_json::to_vec(shard.scenes()).map_err(|e| io(shard.path(), e.into()))?;
+        for scene in 0..shard.scenes().len() {
+            let trials = shard.trials(scene).map_err(DataError::from)?;
+            ciborium::into_writer(&trials, &mut bytes)
+                .map_err(|e| io(shard.path(), std::io::Error::other(e.to_string())))?;
+        }
+        Ok(sha256_hex(&bytes))
+    };
     let text = |Folder { path, manifest, shards }: &Folder| {
-        serde_json::to_string(&(manifest, shards.len())).map_err(|e| io(path, e.into()))
+        let shards: Result<Vec<String>, TrainError> =
+            dataset.shards()[shards.clone()].par_iter().map(of_shard).collect();
+        serde_json::to_string(&(manifest, shards?)).map_err(|e| io(path, e.into()))
     };
     dataset.folders().iter().map(text).collect()
 }

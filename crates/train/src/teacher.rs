@@ -15,7 +15,7 @@ use where2act_model::{Grouping, Heads, Input, Modality, Network, Weights, hand_f
 
 use crate::config::{TeacherConfig, TrainConfig};
 use crate::run::TrainError;
-use crate::step::select;
+use crate::step::{floats, select};
 
 /// How far half of the hands are turned away from what the teacher would do, at most, radians. What it never proposes a
 /// network that knows less does propose.
@@ -229,10 +229,6 @@ pub(crate) fn join(all: &mut Vec<Grouping>, views: Vec<Grouping>) {
     for (all, view) in all.iter_mut().zip(views) {
         all.offsets.extend(view.offsets);
     }
-}
-
-fn floats<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().convert::<f32>().try_into_vec().unwrap_or_default()
 }
 
 #[cfg(test)]

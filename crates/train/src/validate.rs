@@ -121,16 +121,25 @@ impl Validation {
     }
 }
 
-/// Scores every trial of some scenes, one view at a time, and sums up.
+/// Scores with their logits moved, those of each of the network's primitives by its own number, as
+/// [`Network::shift_scores`] moves them.
+#[must_use]
+pub fn shifted(network: &Network, scored: &[(Trial, f32)], by: &[f32]) -> Vec<(Trial, f32)> {
+    let shift = |trial: &Trial| network.config().output_of(trial.primitive).map_or(0.0, |output| by[output]);
+    let moved = |score: f32, by: f32| 1.0 / (1.0 + (1.0 / score - 1.0) * (-by).exp());
+    scored.iter().map(|(trial, score)| (*trial, moved(*score, shift(trial)))).collect()
+}
+
+/// Scores every trial of some scenes, one view at a time: (trial, score in [0, 1]).
 ///
 /// # Errors
 /// Those of reading a shard.
-pub fn validate(
+pub fn score_scenes(
     network: &Network,
     dataset: &Dataset,
     scenes: &[SceneId],
     seed: Seed,
-) -> Result<Validation, DataError> {
+) -> Result<Vec<(Trial, f32)>, DataError> {
     let mut scored = Vec::new();
     for (i, id) in scenes.iter().enumerate() {
         let shard = &dataset.shards()[id.shard];
@@ -139,14 +148,15 @@ pub fn validate(
             .map_err(|source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source })?;
         scored.extend(of_scene);
     }
-    Ok(Validation::new(network, &scored))
+    Ok(scored)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use burn::tensor::Device;
-    use where2act_core::Primitive;
+    use nalgebra::{Rotation3, Vector3};
+    use where2act_core::{Grasp, Pixel, Primitive, Verdict};
     use where2act_model::ModelConfig;
 
     #[test]
@@ -178,7 +188,7 @@ mod tests {
             assert_eq!(validation.shifts(), [0.0]);
         }
 
-        // The network does what the arithmetic above does.
+        // The network does what the arithmetic above does, and so does what the card is made of.
         let config = ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(64);
         let network = Network::new(&config, Seed(1), &Device::flex());
         let score = |network: &Network| {
@@ -186,5 +196,14 @@ mod tests {
             network.heads.score.forward(zeros(128), zeros(6)).into_scalar::<f32>()
         };
         assert!((score(&network.clone().shift_scores(&[shift])) - score(&network) - shift).abs() < 1e-5);
+        let grasp = Grasp { point: Point3::origin(), rotation: Rotation3::identity() };
+        let verdict =
+            Verdict { invalid: None, q_start: 0.0, q_end: 0.0, motion: Vector3::zeros(), success: true };
+        let (primitive, policy, pixel) = (Primitive::Pushing, Policy::Random, Pixel { u: 0, v: 0 });
+        let trial = Trial { primitive, policy, pixel, link: 1, grasp_in_camera: grasp, verdict };
+        for score in [0.0, 0.3, 1.0] {
+            let [(_, found)] = shifted(&network, &[(trial, score)], &[shift])[..] else { panic!("one") };
+            assert!((found - 1.0 / (1.0 + (-(logit(score) + shift)).exp())).abs() < 1e-6, "{found}");
+        }
     }
 }

@@ -91,7 +91,7 @@ fn check<M: Module>(
 ) {
     // The same noise every time.
     let total = |learner: &Learner| {
-        forward(learner, batch, Phase::Joint, &config.loss, &mut Seed(9).rng()).total(config)
+        forward(learner, batch, Phase::Joint, &config.loss, &mut Seed(9).rng()).total(config).unwrap()
     };
     let of_part = || GradientsParams::from_grads(total(learner).backward(), part(learner));
     let squared = squared_norm(part(learner), &of_part());

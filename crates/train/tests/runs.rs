@@ -239,7 +239,7 @@ fn a_network_for_pictures_learns_from_one_for_scans() {
     (config.network.second_look, config.batch.measured) = (false, 0.0);
     // Without trials' own losses the lesson is all there is to learn.
     config.loss = LossConfig { score: 0.0, geodesic: 0.0, kl: 0.0, actionability: 0.0, ..config.loss };
-    config.loss.motion = 0.0;
+    (config.loss.motion, config.network.ways) = (0.0, Some(0.0));
     let (_, losses) = train_for(&config, &data, &folder.path().join("run"), usize::MAX).unwrap();
     let mean = |losses: &[f32]| losses.iter().sum::<f32>() / losses.len() as f32;
     let (first, last) = (mean(&losses[..5]), mean(&losses[25..]));

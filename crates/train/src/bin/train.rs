@@ -173,11 +173,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     eprintln!("{}", share.show());
     if !outcome.finished {
         let done = outcome.progress.step;
-        eprintln!(
-            "stopped after {done} of {} steps; go on with the same command and --resume",
-            config.steps()
-        );
-        return Ok(());
+        bail!("stopped after {done} of {} steps; go on with the same command and --resume", config.steps());
     }
     let Some(weights) = outcome.weights else {
         bail!(
@@ -373,6 +369,7 @@ fn show(report: &StepReport) -> String {
         ("motion", report.motion),
         ("normal", report.normal),
         ("taught", report.taught),
+        ("hopeless", report.hopeless),
     ] {
         if let Some(value) = value {
             text += &format!(", {name} {value:.3}");

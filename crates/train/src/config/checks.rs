@@ -131,6 +131,7 @@ impl TrainConfig {
             ("loss.actionability", loss.actionability),
             ("loss.motion", loss.motion),
             ("loss.normal", loss.normal),
+            ("loss.hopeless", loss.hopeless),
         ] {
             check(weight >= 0.0 && weight.is_finite(), field, weight, "0 or more")?;
         }
@@ -139,12 +140,16 @@ impl TrainConfig {
         let asks = loss.motion + loss.normal > 0.0 || looks == 0;
         check(asks, "schedule.look_steps", looks, "0 without loss.motion or loss.normal")?;
         let answers = loss.motion == 0.0 || self.network.ways.is_some();
-        check(answers, "network.ways", "none", "a number, as loss.motion asks for ways")
+        check(answers, "network.ways", "none", "a number, as loss.motion asks for ways")?;
+        // A head that never learns would have a say in every score.
+        let learns = loss.motion > 0.0 || self.network.ways.is_none_or(|ways| ways == 0.0);
+        check(learns, "loss.motion", 0, "more than 0, as network.ways counts in scores")
     }
 
     fn check_trials(&self) -> Checked {
-        let AdaptiveConfig { enabled, trials, own, buffer, .. } = self.adaptive;
+        let AdaptiveConfig { enabled, trials, own, buffer, newest, .. } = self.adaptive;
         check_share("adaptive.own", own)?;
+        check_share("adaptive.newest", newest)?;
         check(!enabled || buffer >= trials, "adaptive.buffer", buffer, "at least adaptive.trials")?;
         check_share("collect.guided", self.collect.guided)?;
         let objects = self.collect.look_objects;
@@ -174,6 +179,8 @@ mod tests {
             ("[collect]\nlook_objects = 0\n", "collect.look_objects"),
             ("[collect]\nlook_objects = 1000001\n", "collect.look_objects"),
             ("[collect]\nscenes = 0\n", "collect.scenes"),
+            ("[adaptive]\nnewest = 1.5\n", "adaptive.newest"),
+            ("[loss]\nhopeless = -1.0\n", "loss.hopeless"),
         ] {
             let error = load(&(minimal() + extra)).unwrap_err().to_string();
             assert!(error.contains(named) && !error.contains('\n'), "{error}");

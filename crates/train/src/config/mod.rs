@@ -149,7 +149,7 @@ pub struct ScheduleConfig {
     /// Learning rate at the start.
     #[serde(default = "published_rate")]
     pub rate: f64,
-    /// Learning rate at the start of the steps with trials, after those that only look; `rate` unless said otherwise. A
+    /// Learning rate of the steps with trials, after those that only look, before it falls; `rate` unless said otherwise. A
     /// high one spoils what the looks have taught.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trial_rate: Option<f64>,
@@ -165,7 +165,7 @@ pub struct ScheduleConfig {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "lowercase")]
 pub enum Decay {
-    /// Multiplied by `factor` every `steps` steps. The paper's: 0.9 every 5,000.
+    /// Multiplied by `factor` every `steps` steps, counted from the first step of all. The paper's: 0.9 every 5,000.
     Step {
         /// Steps between two falls.
         steps: usize,
@@ -197,6 +197,15 @@ pub struct LossConfig {
     pub motion: f32,
     /// Squared error of the surface's normal that the network's features tell. 0 = not asked (the paper).
     pub normal: f32,
+    /// Binary cross-entropy of the score, the first one, of own proposals of which the scene knows that they fail: where
+    /// nothing moves, or against every way that the joint leaves. Where nothing moves nothing is actionable then either. 0 = not
+    /// asked (the paper).
+    #[serde(skip_serializing_if = "is_zero")]
+    pub hopeless: f32,
+}
+
+fn is_zero(number: &f32) -> bool {
+    *number == 0.0
 }
 
 /// Who teaches a network for pictures, and how much.
@@ -241,6 +250,10 @@ pub struct AdaptiveConfig {
     pub own: f32,
     /// Trials of the replay buffer; older ones are forgotten first. The paper's: 10,000.
     pub buffer: usize,
+    /// Share of a step's views that show scenes of the last eight rounds. They show where the network is wrong now, and would
+    /// hardly come once among all scenes before it is another.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub newest: f32,
 }
 
 /// What to collect if there is no data.
@@ -312,13 +325,14 @@ impl Default for LossConfig {
             best: 0,
             motion: 0.0,
             normal: 0.0,
+            hopeless: 0.0,
         }
     }
 }
 
 impl Default for AdaptiveConfig {
     fn default() -> Self {
-        Self { enabled: false, scenes: 64, trials: 24, own: 0.5, buffer: 10_000 }
+        Self { enabled: false, scenes: 64, trials: 24, own: 0.5, buffer: 10_000, newest: 0.0 }
     }
 }
 

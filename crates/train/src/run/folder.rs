@@ -10,7 +10,7 @@ use super::{TrainError, io};
 use crate::checkpoint;
 use crate::config::TrainConfig;
 use crate::dataset::Dataset;
-use crate::start::manifests;
+use crate::start::contents;
 
 /// Names of the files in a run's folder.
 pub mod files {
@@ -68,7 +68,9 @@ pub(super) fn prepare_folder(
         Ok(_) => return Err(TrainError::OtherRun { path: out.to_owned(), what: "another configuration" }),
         Err(_) => write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?,
     }
-    Ok(checkpoint::fingerprint(&text, &manifests(dataset)?.concat()))
+    let fingerprint = checkpoint::fingerprint(&text, &contents(dataset)?.concat());
+    tracing::debug!("{}: data and configuration {fingerprint}", out.display());
+    Ok(fingerprint)
 }
 
 /// Drops lines of steps that will be done again.

@@ -37,7 +37,7 @@ use crate::split::Part;
 use crate::start::{first_trials, first_weights, optimiser, random_weights, with_scan_radius};
 use crate::step::{Phase, forward};
 use crate::teacher::Teacher;
-use crate::validate::validate;
+use crate::validate::{Validation, score_scenes, shifted};
 
 /// Trials that exploration adds to train scenes.
 pub type NewTrials = Vec<(SceneId, Vec<Trial>)>;
@@ -56,8 +56,8 @@ pub struct Control<'a> {
 const EXPLODED: f32 = 1e6;
 /// A checkpoint is written at least this often.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(180);
-/// Validation looks at so many scenes at most. With 40 trials each, 60 % of them guided, these are some 500 random trials of
-/// each primitive, from whose dozen or two successes the threshold of the score comes.
+/// Validation looks at so many scenes at most, but after the last step at all: then the threshold of the score is settled, by
+/// the successes among random trials, of which forty trials a scene, 60 % of them guided, bring few.
 const VALIDATION_SCENES: usize = 192;
 /// Batches prepared ahead.
 const AHEAD: usize = 2;
@@ -81,7 +81,6 @@ pub fn train<'a>(
         dataset.require_successes(&train_scenes, &config.network.primitives)?;
         dataset.tried_scenes(Part::Validation, &config.network.primitives)?
     };
-    let validation_scenes = spread(&validation_scenes, VALIDATION_SCENES).copied().collect();
 
     // Held until the run ends, however it ends.
     let _lock = lock(out)?;
@@ -226,17 +225,20 @@ impl Run<'_> {
         let mut lap = || std::mem::replace(&mut watch, Instant::now()).elapsed().as_secs_f64();
         let losses = forward(&self.state.learner, batch, phase, &self.config.loss, &mut rng);
         let total = losses.total(self.config);
-        let loss = number(&total);
+        let loss = total.as_ref().map_or(0.0, number);
         secs.forward = lap();
         if !loss.is_finite() || loss > EXPLODED {
             return Err(self.diverged(step, loss));
         }
-        let gradients = GradientsParams::from_grads(total.backward(), &self.state.learner);
-        secs.backward = lap();
         let rate = self.config.rate(step);
-        let learner = self.state.learner.clone();
-        self.state.learner = self.state.optimiser.step(rate, learner, gradients);
-        secs.optimiser = lap();
+        // Few views with few trials may have none left that is to be seen.
+        if let Some(total) = total {
+            let gradients = GradientsParams::from_grads(total.backward(), &self.state.learner);
+            secs.backward = lap();
+            let learner = self.state.learner.clone();
+            self.state.learner = self.state.optimiser.step(rate, learner, gradients);
+            secs.optimiser = lap();
+        }
         self.state.progress.step = step + 1;
         let report = report(self.config, step + 1, loss, &losses, rate, secs);
         self.log(&report)?;
@@ -251,11 +253,14 @@ impl Run<'_> {
         let phase = self.config.phase(self.state.progress.step - 1);
         let joint = phase == Phase::Joint;
         // Looking does not teach the score.
-        let judged = (phase != Phase::Look)
-            .then(|| validate(&network, &self.dataset, &self.validation_scenes, seed))
-            .transpose()?;
-        let ways = self.ways(seed)?;
         let step = self.state.progress.step;
+        let most = if step == self.config.steps() { usize::MAX } else { VALIDATION_SCENES };
+        let scenes: Vec<SceneId> = spread(&self.validation_scenes, most).copied().collect();
+        let scored = (phase != Phase::Look)
+            .then(|| score_scenes(&network, &self.dataset, &scenes, seed))
+            .transpose()?;
+        let judged = scored.as_ref().map(|scored| Validation::new(&network, scored));
+        let ways = self.ways(seed)?;
         self.log(&serde_json::json!({ "step": step, "epoch": epoch, "validation": judged, "ways": ways }))?;
         let validation = judged.unwrap_or_default();
         // Proposals and actionability are learnt in the joint phase alone: weights of the phases before cannot be used.
@@ -264,8 +269,10 @@ impl Run<'_> {
             self.state.progress.best = Some(validation.figure);
         }
         if joint {
-            let card = card(self.config, &self.state.progress, &validation);
-            let centred = network.clone().shift_scores(&validation.shifts());
+            let shifts = validation.shifts();
+            let centred = network.clone().shift_scores(&shifts);
+            let scored = shifted(&network, &scored.unwrap_or_default(), &shifts);
+            let card = card(self.config, &self.state.progress, &Validation::new(&network, &scored));
             let save = |folder: &str| save_weights(&self.out.join(folder), &centred, &card, Precision::F16);
             save(files::LAST)?;
             if is_best {
@@ -296,15 +303,10 @@ impl Run<'_> {
         if learner.network.heads.motion.is_none() || self.config.loss.motion == 0.0 {
             return Ok(None);
         }
-        let mut source = Source::new(
-            self.dataset.clone(),
-            &self.validation_scenes,
-            Arc::default(),
-            self.config,
-            Phase::Look,
-        );
+        let scenes: Vec<SceneId> = spread(&self.validation_scenes, VALIDATION_SCENES).copied().collect();
+        let mut source = Source::new(self.dataset.clone(), &scenes, Arc::default(), self.config, Phase::Look);
         source.config = BatchConfig { mirrored: 0.0, measured: 0.0, places_per_view: 64, ..source.config };
-        let batches = self.validation_scenes.len().div_ceil(source.config.views);
+        let batches = scenes.len().div_ceil(source.config.views);
         let mut sum = 0.0;
         for step in 0..batches {
             let batch = source.batch(step)?;
