@@ -1,0 +1,28 @@
+#!/usr/bin/env bash
+# Makes weights of the kind of weights/cloud and then weights/rgb from nothing, on two cores: half an hour for the data, three
+# hours for scans, five for pictures, and half an hour for judging both. `weights/make.sh cloud` leaves out pictures. What is
+# interrupted goes on when this is run again, in the same folder.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+kinds=${1:-cloud rgb}
+
+resume() { [[ -e $1 ]] && echo --resume || true; }
+
+cargo run --bin collect -- --scenes 24000 --trials 0 --randomise --wide --object-seeds 0..10000 --seed 5 --out data/looks \
+    $(resume data/looks)
+cargo run --bin collect -- --scenes 4000 --trials 40 --guided 0.6 --randomise --wide --seed 1 --out data/trials \
+    $(resume data/trials)
+
+train() {
+    cargo run --bin train -- --config "configs/$1.toml" --out "runs/$2" --data data/trials --data data/looks --episodes 0 \
+        $(resume "runs/$2") "${@:3}"
+}
+train standard cloud-first
+train standard-more cloud --from runs/cloud-first/last --replay runs/cloud-first
+# Scans teach pictures, and the trials that they made are the first that pictures learn from.
+if [[ $kinds == *rgb* ]]; then
+    train standard-rgb rgb --seed 3 --teacher runs/cloud/last --replay runs/cloud
+fi
+for kind in $kinds; do
+    cargo run --bin evaluate -- --weights "runs/$kind/last" --episodes 180 --out "runs/$kind/shapes.json"
+done
