@@ -6,7 +6,7 @@ use burn::nn::{Initializer, Linear, LinearConfig};
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Point3, Vector3};
 use where2act_core::shard::Freedom;
-use where2act_core::{ImageSize, Pixel, Primitive, Seed, Verdict};
+use where2act_core::{ImageSize, Pixel, Seed, Verdict};
 use where2act_model::{ModelConfig, Network, draw_weights};
 
 use crate::config::LossConfig;
@@ -66,21 +66,6 @@ pub(crate) fn ways(freedom: &Freedom, point: &Point3<f32>) -> Ways {
     let range = freedom.room.iter().sum();
     let [down, up] = freedom.room.map(|room| if Verdict::is_enough(room, range) { 1.0 } else { 0.0 });
     [-way * down, way * up]
-}
-
-/// Cosine of the angle between where a hand wants a point to go and the nearest of its ways below which it hardly ever
-/// succeeds: 10 of 11,400 trials that were collected there did. Success itself asks for [`Verdict::MIN_DIRECTION_COSINE`], but of
-/// a motion that may bend.
-const AGAINST: f32 = 0.3;
-
-/// Whether a hand cannot succeed at a place that has no other ways, by its `[approach, forward]` and the primitive's
-/// [`intended_axes`](where2act_model::intended_axes). A push may go anywhere, so it is hopeless only against all ways.
-pub(crate) fn is_hopeless(primitive: Primitive, intended: [f32; 3], axes: &[f32; 6], ways: &Ways) -> bool {
-    let [approach, forward] = [0, 3].map(|i| Vector3::new(axes[i], axes[i + 1], axes[i + 2]));
-    let [along, ahead, aside] = intended;
-    let wanted = approach * along + forward * ahead + approach.cross(&forward) * aside;
-    let least = if primitive == Primitive::Pushing { 0.0 } else { AGAINST };
-    ways.iter().all(|way| wanted.dot(way) <= least * way.norm())
 }
 
 /// Pixels to each side whose points span a surface.
@@ -145,36 +130,6 @@ mod tests {
         assert_eq!(ways(&drawer, &Point3::new(9.0, 9.0, 9.0)), [-Vector3::z(), Vector3::z()]);
         let button = Freedom { room: [0.002, 0.006], ..drawer };
         assert_eq!(ways(&button, &Point3::origin()), [Vector3::zeros(), Vector3::z()]);
-    }
-
-    #[test]
-    fn a_hand_against_all_ways_is_hopeless() {
-        use where2act_model::intended_axes;
-        let hopeless = |primitive, approach: [f32; 3], ways: &Ways| {
-            let forward = [0.0, 1.0, 0.0];
-            let axes = [approach, forward].concat().try_into().unwrap();
-            is_hopeless(primitive, intended_axes(primitive), &axes, ways)
-        };
-        let (into, out) = ([Vector3::zeros(), Vector3::z()], [-Vector3::z() * 0.4, Vector3::zeros()]);
-        let (straight, slanted) = ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8]);
-        assert!(
-            !hopeless(Primitive::Pushing, straight, &into) && hopeless(Primitive::Pushing, straight, &out)
-        );
-        assert!(
-            hopeless(Primitive::Pulling, straight, &into) && !hopeless(Primitive::Pulling, slanted, &out)
-        );
-        // Forward, which is where the -left primitives go, is across both ways; left is only when the hand comes straight.
-        assert!(hopeless(Primitive::PushingLeft, straight, &into));
-        assert!(
-            hopeless(Primitive::PullingUp, straight, &into)
-                && !hopeless(Primitive::PullingUp, slanted, &into)
-        );
-        // A push may glance off to where the joint gives; nothing else may.
-        let glancing = [0.98, 0.0, 0.199];
-        assert!(
-            !hopeless(Primitive::Pushing, glancing, &into) && hopeless(Primitive::Pulling, glancing, &out)
-        );
-        assert!(Primitive::ALL.iter().all(|p| hopeless(*p, straight, &Ways::default())));
     }
 
     #[test]

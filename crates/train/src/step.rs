@@ -8,11 +8,11 @@ use rand_distr::{Distribution, StandardNormal};
 use where2act_model::losses::{
     binary_cross_entropy, geodesic_distance, kl_divergence, squared_error, weighted_mean,
 };
-use where2act_model::{Choice, Heads, Input, Network, SecondLook, intended_axes, to_axes};
+use where2act_model::{Choice, Heads, Input, Network, SecondLook, to_axes};
 
 use crate::batch::{Batch, BatchInput, Queries};
 use crate::config::{LossConfig, TrainConfig};
-use crate::probes::{Learner, Ways, difference, is_hopeless};
+use crate::probes::{Learner, Ways, difference};
 
 /// Losses of a step before they are weighted. They stay tensors until somebody wants to read them.
 #[derive(Clone, Debug, Default)]
@@ -33,8 +33,6 @@ pub struct Losses {
     pub normal: Option<Tensor<1>>,
     /// Divergence of the score from what the teacher says; `None` if there is none.
     pub taught: Option<Tensor<1>>,
-    /// Binary cross-entropy of the score of own proposals that cannot succeed; `None` if it is not asked.
-    pub hopeless: Option<Tensor<1>>,
 }
 
 impl Losses {
@@ -51,7 +49,6 @@ impl Losses {
             (&self.motion, weights.motion),
             (&self.normal, weights.normal),
             (&self.taught, config.teacher.as_ref().map_or(0.0, |teacher| teacher.weight)),
-            (&self.hopeless, weights.hopeless),
         ];
         let weighted = all.into_iter().filter_map(|(loss, weight)| Some(loss.clone()? * weight));
         weighted.reduce(|sum, loss| sum + loss)
@@ -127,12 +124,11 @@ pub fn forward(
 
     let (geodesic, kl) = reconstruction(network, queries, of_trials, &orientations, rng);
     let choice = Choice::new(&queries.outputs, outputs, &device);
-    let own = OwnHands::new(&network.heads.clone().valid(), features.clone().inner(), queries, config, rng);
-    let hopeless = (config.hopeless > 0.0).then(|| hopeless(network, &features, queries, &own)).flatten();
-    let target = Tensor::from_inner(own.actionability(queries, config)).detach();
+    let target =
+        actionability_target(&network.heads.clone().valid(), features.clone().inner(), queries, config, rng);
     let guess = choice.pick(network.heads.actionability.forward(features));
-    let actionability = squared_error(guess, target).sum() / all.max(1) as f32;
-    Losses { score, second, geodesic, kl, actionability: Some(actionability), hopeless, ..seen }
+    let actionability = squared_error(guess, Tensor::from_inner(target).detach()).sum() / all.max(1) as f32;
+    Losses { score, second, geodesic, kl, actionability: Some(actionability), ..seen }
 }
 
 /// The right answers to a probe, `[q, n]`, and where they are known, `[q]`.
@@ -178,90 +174,41 @@ fn reconstruction(
     (Some(geodesic_distance(decoded, orientations).mean()), Some(kl_divergence(&code).mean()))
 }
 
-/// The hands that the network would try at each query, without gradient.
-struct OwnHands {
-    /// Orthonormal `[approach, forward]`, `[q, proposals, 6]`.
-    axes: Tensor<3>,
-    /// What the score thinks of them, the ways of their places included, `[q, proposals]`.
-    logits: Tensor<2>,
-}
-
-impl OwnHands {
-    fn new(
-        heads: &Heads,
-        features: Tensor<2>,
-        queries: &Queries,
-        config: &LossConfig,
-        rng: &mut impl Rng,
-    ) -> Self {
-        let device = features.device();
-        let [q, _] = features.dims();
-        let proposals = config.proposals;
-        let latent =
-            heads.proposal.decoder.mlp1.linear.weight.dims()[0] - heads.proposal.decoder.mlp1.features;
-        let [_, six] = heads.proposal.decoder.mlp2.weight.dims();
-        let outputs = six / 6;
-        let [_, hidden] = heads.score.mlp1.linear.weight.dims();
-
-        // The same codes serve all queries: a head's first layer is computed once per query and once per code.
-        let codes = heads.proposal.code_half(normal([proposals, latent], rng, &device));
-        let decode =
-            heads.proposal.feature_half(features.clone()).unsqueeze_dim::<3>(1) + codes.unsqueeze_dim::<3>(0);
-        let raw = heads.proposal.decode_from_halves(decode.reshape([q * proposals, hidden]));
-        let repeated: Vec<usize> =
-            queries.outputs.iter().flat_map(|&output| std::iter::repeat_n(output, proposals)).collect();
-        let choice = Choice::new(&repeated, outputs, &device);
-        let axes = to_axes(choice.pick_rows(raw.reshape([q * proposals, outputs, 6])));
-        let axes = axes.reshape([q, proposals, 6]);
-        let logits = heads.score.forward_each(features.clone(), axes.clone());
-        let logits = choice.pick(heads.with_ways(logits, features, axes.clone()));
-        Self { axes, logits: logits.reshape([q, proposals]) }
-    }
-
-    /// What is to be expected of them at each query, `[q]`: the mean score of all, or of the best few, and nothing where the
-    /// scene knows that nothing moves, if what is hopeless is asked at all.
-    fn actionability(&self, queries: &Queries, config: &LossConfig) -> Tensor<1> {
-        let scores = sigmoid(self.logits.clone());
-        let [q, _] = scores.dims();
-        let expected =
-            if config.best == 0 { scores.mean_dim(1) } else { scores.topk(config.best, 1).mean_dim(1) };
-        let expected = expected.reshape([q]);
-        if config.hopeless == 0.0 {
-            return expected;
-        }
-        let still = |ways: &Option<Ways>| ways.is_some_and(|ways| ways == Ways::default());
-        let moves: Vec<f32> = queries.ways.iter().map(|ways| if still(ways) { 0.0 } else { 1.0 }).collect();
-        expected.clone() * Tensor::from_floats(moves.as_slice(), &expected.device())
-    }
-}
-
-/// How wrong the score is about the best hand at each query that cannot succeed there, whatever it touches: at a place where
-/// nothing moves, or against all ways its joint leaves it. The scene knows that without a trial. `None` without such hands.
-fn hopeless(network: &Network, features: &Tensor<2>, queries: &Queries, own: &OwnHands) -> Option<Tensor<1>> {
-    let primitives = &network.config().primitives;
-    let intended: Vec<_> = primitives.iter().copied().map(intended_axes).collect();
-    let [_, proposals] = own.logits.dims();
-    let (axes, logits) = (floats(own.axes.clone()), floats(own.logits.clone()));
-    let mut hands: Vec<(usize, [f32; 6])> = Vec::new();
-    let of_queries = axes.as_chunks::<6>().0.chunks(proposals).zip(logits.chunks(proposals));
-    for (i, ((axes, logits), ways)) in of_queries.zip(&queries.ways).enumerate() {
-        let (Some(ways), output) = (ways, queries.outputs[i]) else { continue };
-        let bad = |axes: &[f32; 6]| is_hopeless(primitives[output], intended[output], axes, ways);
-        let best = axes.iter().zip(logits).filter(|(axes, _)| bad(axes)).max_by(|a, b| a.1.total_cmp(b.1));
-        hands.extend(best.map(|(axes, _)| (i, *axes)));
-    }
-    let n = hands.len();
-    if n == 0 {
-        return None;
-    }
+/// What the score head thinks of the proposals at each query: the mean of all, or of the best few; and nothing where the scene
+/// knows that nothing moves, whatever the score thinks. `[q]`, without gradient.
+fn actionability_target(
+    heads: &Heads,
+    features: Tensor<2>,
+    queries: &Queries,
+    config: &LossConfig,
+    rng: &mut impl Rng,
+) -> Tensor<1> {
     let device = features.device();
-    let outputs: Vec<usize> = hands.iter().map(|(i, _)| queries.outputs[*i]).collect();
-    let flat: Vec<f32> = hands.iter().flat_map(|(_, axes)| *axes).collect();
-    let axes = Tensor::<3>::from_data(TensorData::new(flat, [n, 1, 6]), &device);
-    let logits =
-        network.heads.score.forward_each(select(features.clone(), hands.iter().map(|(i, _)| *i)), axes);
-    let logits = Choice::new(&outputs, primitives.len(), &device).pick(logits);
-    Some(binary_cross_entropy(logits, Tensor::zeros([n], &device)).mean())
+    let [q, _] = features.dims();
+    let proposals = config.proposals;
+    let latent = heads.proposal.decoder.mlp1.linear.weight.dims()[0] - heads.proposal.decoder.mlp1.features;
+    let [_, six] = heads.proposal.decoder.mlp2.weight.dims();
+    let outputs = six / 6;
+    let [_, hidden] = heads.score.mlp1.linear.weight.dims();
+
+    // The same codes serve all queries: a head's first layer is computed once per query and once per code.
+    let codes = heads.proposal.code_half(normal([proposals, latent], rng, &device));
+    let decode =
+        heads.proposal.feature_half(features.clone()).unsqueeze_dim::<3>(1) + codes.unsqueeze_dim::<3>(0);
+    let raw = heads.proposal.decode_from_halves(decode.reshape([q * proposals, hidden]));
+    let repeated: Vec<usize> =
+        queries.outputs.iter().flat_map(|&output| std::iter::repeat_n(output, proposals)).collect();
+    let choice = Choice::new(&repeated, outputs, &device);
+    let axes = to_axes(choice.pick_rows(raw.reshape([q * proposals, outputs, 6])));
+    let axes = axes.reshape([q, proposals, 6]);
+    let logits = heads.score.forward_each(features.clone(), axes.clone());
+    let logits = choice.pick(heads.with_ways(logits, features, axes));
+    let scores = sigmoid(logits).reshape([q, proposals]);
+    let best = if config.best == 0 { scores } else { scores.topk(config.best, 1) };
+    let moves =
+        |ways: &Option<Ways>| if ways.is_some_and(|ways| ways == Ways::default()) { 0.0 } else { 1.0 };
+    let moves: Vec<f32> = queries.ways.iter().map(moves).collect();
+    best.mean_dim(1).reshape([q]) * Tensor::from_floats(moves.as_slice(), &device)
 }
 
 /// The numbers of a tensor.
@@ -290,36 +237,19 @@ mod tests {
     use where2act_model::{Modality, ModelConfig};
 
     #[test]
-    fn the_best_of_the_hands_that_cannot_succeed_is_taught_as_a_failure() {
+    fn nothing_is_to_be_expected_where_nothing_moves() {
         let config =
             ModelConfig::new(Modality::Cloud, &[Primitive::Pulling, Primitive::Pushing]).with_points(64);
         let network = Network::new(&config, Seed(1), &Device::flex());
         let mut rng = Seed(2).rng();
-        let features = normal([4, config.features], &mut rng, &Device::flex());
-        let free = [Vector3::z(), -Vector3::z()];
-        // Nothing moves at the first two places; a push along any way of the third moves it; nobody knows the fourth.
-        let ways = vec![Some(Ways::default()), Some(Ways::default()), Some(free), None];
-        let queries = Queries { outputs: vec![0, 1, 1, 0], ways, ..Queries::default() };
-        let loss = LossConfig { proposals: 8, best: 2, hopeless: 1.0, ..LossConfig::default() };
-        let own = OwnHands::new(&network.heads, features.clone(), &queries, &loss, &mut rng);
-        let logits = floats(own.logits.clone());
-        let best = |place: usize| logits[8 * place..8 * (place + 1)].iter().copied().fold(f32::MIN, f32::max);
-        let wrong = |logit: f32| (1.0 + logit.exp()).ln();
-        let found = hopeless(&network, &features, &queries, &own).unwrap().into_scalar::<f32>();
-        let expected = (wrong(best(0)) + wrong(best(1))) / 2.0;
-        assert!((found - expected).abs() < 1e-4, "{found} {expected}");
-
-        let expected = floats(own.actionability(&queries, &loss));
-        assert!(
-            expected[..2] == [0.0, 0.0] && expected[2..].iter().all(|score| *score > 0.01),
-            "{expected:?}"
-        );
-        let published = LossConfig { hopeless: 0.0, ..loss.clone() };
-        assert!(floats(own.actionability(&queries, &published)).iter().all(|score| *score > 0.01));
-
-        let (features, queries) =
-            (features.narrow(0, 2, 1), Queries { outputs: vec![1], ways: vec![Some(free)], ..queries });
-        let own = OwnHands::new(&network.heads, features.clone(), &queries, &loss, &mut rng);
-        assert!(hopeless(&network, &features, &queries, &own).is_none());
+        let features = normal([3, config.features], &mut rng, &Device::flex());
+        let ways = vec![Some(Ways::default()), Some([Vector3::z(), Vector3::zeros()]), None];
+        let queries = Queries { outputs: vec![0, 1, 0], ways, ..Queries::default() };
+        for best in [0, 2] {
+            let loss = LossConfig { proposals: 8, best, ..LossConfig::default() };
+            let target =
+                floats(actionability_target(&network.heads, features.clone(), &queries, &loss, &mut rng));
+            assert!(target[0] == 0.0 && target[1..].iter().all(|score| *score > 0.01), "{target:?}");
+        }
     }
 }

@@ -369,7 +369,6 @@ fn show(report: &StepReport) -> String {
         ("motion", report.motion),
         ("normal", report.normal),
         ("taught", report.taught),
-        ("hopeless", report.hopeless),
     ] {
         if let Some(value) = value {
             text += &format!(", {name} {value:.3}");

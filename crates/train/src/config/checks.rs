@@ -131,7 +131,6 @@ impl TrainConfig {
             ("loss.actionability", loss.actionability),
             ("loss.motion", loss.motion),
             ("loss.normal", loss.normal),
-            ("loss.hopeless", loss.hopeless),
         ] {
             check(weight >= 0.0 && weight.is_finite(), field, weight, "0 or more")?;
         }
@@ -180,7 +179,6 @@ mod tests {
             ("[collect]\nlook_objects = 1000001\n", "collect.look_objects"),
             ("[collect]\nscenes = 0\n", "collect.scenes"),
             ("[adaptive]\nnewest = 1.5\n", "adaptive.newest"),
-            ("[loss]\nhopeless = -1.0\n", "loss.hopeless"),
         ] {
             let error = load(&(minimal() + extra)).unwrap_err().to_string();
             assert!(error.contains(named) && !error.contains('\n'), "{error}");

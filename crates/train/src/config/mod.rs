@@ -187,7 +187,7 @@ pub struct LossConfig {
     pub geodesic: f32,
     /// Divergence of the proposal's code from the normal distribution.
     pub kl: f32,
-    /// Squared error of the actionability.
+    /// Squared error of the actionability. Where nothing moves there is none to learn but zero.
     pub actionability: f32,
     /// Proposals whose scores make the actionability's target.
     pub proposals: usize,
@@ -197,11 +197,6 @@ pub struct LossConfig {
     pub motion: f32,
     /// Squared error of the surface's normal that the network's features tell. 0 = not asked (the paper).
     pub normal: f32,
-    /// Binary cross-entropy of the score, the first one, of own proposals of which the scene knows that they fail: where
-    /// nothing moves, or against every way that the joint leaves. Where nothing moves nothing is actionable then either. 0 = not
-    /// asked (the paper).
-    #[serde(skip_serializing_if = "is_zero")]
-    pub hopeless: f32,
 }
 
 fn is_zero(number: &f32) -> bool {
@@ -325,7 +320,6 @@ impl Default for LossConfig {
             best: 0,
             motion: 0.0,
             normal: 0.0,
-            hopeless: 0.0,
         }
     }
 }

@@ -37,9 +37,6 @@ pub struct StepReport {
     /// Divergence of the score from what the teacher says.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub taught: Option<f32>,
-    /// Cross-entropy of the score of own proposals that cannot succeed.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub hopeless: Option<f32>,
     /// Learning rate.
     pub rate: f64,
     /// Seconds by stage.
@@ -114,7 +111,6 @@ pub(super) fn report(
         motion: read(&losses.motion),
         normal: read(&losses.normal),
         taught: read(&losses.taught),
-        hopeless: read(&losses.hopeless),
         rate,
         secs,
     }
