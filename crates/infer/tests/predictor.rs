@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
 use where2act_core::{
     GRIPPER, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing,
 };
-use where2act_infer::{Backend, Error, Options, Predictor};
+use where2act_infer::{Backend, Error, Options, Output, Predictor, draw_overlay};
 use where2act_kernels::Isa;
 use where2act_model::{Modality, ModelConfig, Network, Weights};
 
@@ -289,6 +289,11 @@ fn what_is_of_no_use_is_refused_by_name() {
     says(cloud.predict(&depth(vec![1.0; 64], flat), &options), &["intrinsics", "positive"]);
     let nothing = Observation::Image { size, rgb: None, depth: None, intrinsics, mask: None };
     says(cloud.predict(&nothing, &options), &["neither"]);
+    // A size whose product is more than a number holds.
+    let size = ImageSize { width: usize::MAX, height: 2 };
+    let depth = Some(vec![1.0; 64]);
+    let endless = Observation::Image { size, rgb: None, depth, intrinsics, mask: None };
+    says(cloud.predict(&endless, &options), &["depth", &format!("= {} values", usize::MAX), "64"]);
 }
 
 #[test]
@@ -297,6 +302,19 @@ fn a_million_points() {
     let prediction = predictor(Modality::Cloud).predict(&observation, &Options::default()).unwrap();
     assert_eq!(prediction.input.width, 1_000_000);
     assert!(prediction.primitives.iter().all(|p| !p.proposals.is_empty()));
+}
+
+/// A scan around its own origin has points beside the camera, whose projections have no bounds: what that overflows,
+/// the overflow checks that CI runs this with would show.
+#[test]
+fn points_beside_the_camera_spoil_no_drawing() {
+    let mut points = ball(3000, 0.5, 2.0);
+    points.extend([Point3::new(1.0, 0.0, 1e-20), Point3::new(0.0, -1.0, 1e-20), Point3::new(1.0, 1.0, 0.0)]);
+    let scan = Observation::Cloud { points };
+    let predictor = predictor(Modality::Cloud);
+    let Output { prediction, maps } = predictor.predict_dense(&scan, &Options::default()).unwrap();
+    let overlay = draw_overlay(&scan, &maps, &prediction.primitives[0]);
+    assert!(overlay.pixels().filter(|pixel| pixel.0 != [255; 3]).count() > 10_000);
 }
 
 /// What is built in is what lies in `weights/`, and it answers as if it had been loaded from there.
