@@ -111,7 +111,7 @@ pub struct Proposal {
 /// Milliseconds by stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Timing {
-    /// Decoding and preprocessing the input.
+    /// From the observation in memory to what the network reads. Reading and decoding files comes before all of this.
     pub preprocess: f64,
     /// The backbone's forward pass.
     pub backbone: f64,

@@ -22,7 +22,9 @@
 //! # }
 //! ```
 //!
-//! A [`Predictor`] is `Send + Sync`, holds no locks while it computes and knows no globals: share one between threads.
+//! A [`Predictor`] is `Send + Sync` and holds no locks while it computes: share one between threads. It uses rayon's current
+//! pool, threads keep scratch memory from one prediction to the next, and `WHERE2ACT_ISA`, an environment variable that may
+//! name a narrower instruction set, is read once in a process.
 //! It prints nothing and panics on no input; what went wrong is an [`Error`] that says what was expected and found.
 //! The same input, options and weights give the same bits on one machine, whatever the number of threads.
 //!
@@ -60,10 +62,11 @@
 //!
 //! # Room for the hand
 //!
-//! A proposal is left out if the scan or the depth map, masked or not, shows something in the place of the palm or the
-//! fingers at the start or before them, or in that of the palm until the finger tips touch, or, for pulling, of the open fingers
-//! before they close. So there may be fewer proposals than asked for, or none. What else the camera does not see is not
-//! considered, nor is the arm behind the hand. [`Options::clearance`] switches it off.
+//! Hands that would overlap something that the scan or the depth map shows, masked or not, are left out: with palm or
+//! fingers at the start, with the palm until the finger tips touch or, for pulling, with the open fingers before they close.
+//! So are hands that would begin behind something seen: nobody knows what is there. Hence there may be fewer proposals than
+//! asked for, or none. What else the camera does not see is not considered, nor is the arm behind the hand.
+//! [`Options::clearance`] switches it off.
 //!
 //! # Sizes
 //!

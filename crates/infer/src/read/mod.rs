@@ -20,7 +20,8 @@ pub use ply::parse_ply;
 
 use crate::{Malformed, ReadError};
 
-/// Largest file that is read, in bytes: a 16-bit picture or a scan of the largest accepted size is smaller.
+/// Largest file that is read, in bytes. A 16-bit depth map or an 8-bit picture of [`MAX_PIXELS`] fits, and so do
+/// [`MAX_POINTS`] of three doubles each; with 16 bits a colour or more fields a point, files of fewer can be too large.
 pub const MAX_FILE_BYTES: u64 = 512 << 20;
 /// Largest number of points of a scan.
 pub const MAX_POINTS: usize = 20_000_000;
