@@ -9,7 +9,8 @@
 //! let predictor = Predictor::load(Path::new("weights/cloud"))?;
 //! let size = ImageSize { width: 640, height: 480 };
 //! let depth = vec![0.8; size.pixels()]; // metres, from the camera's driver
-//! let intrinsics = Some(Intrinsics { fx: 615.1, fy: 615.4, cx: 320.2, cy: 239.8 });
+//! // OpenCV's and ROS's cx and cy count from the middle of the first pixel: 0.5 less than here.
+//! let intrinsics = Some(Intrinsics { fx: 615.1, fy: 615.4, cx: 319.7 + 0.5, cy: 239.3 + 0.5 });
 //! let observation = Observation::Image { size, rgb: None, depth: Some(depth), intrinsics, mask: None };
 //!
 //! let prediction = predictor.predict(&observation, &Options::default())?;
@@ -44,6 +45,9 @@
 //!       v                                        v x  forward
 //!     y (down, as v)                    o: the mounting flange, 0.112 m behind the finger tips
 //! ```
+//!
+//! In pictures the corner of the first pixel is at (0, 0), its centre at (0.5, 0.5), and [`where2act_core::Intrinsics`] go by
+//! that. In OpenCV and ROS the centre is at (0, 0): add 0.5 to `cx` and `cy` of a camera that was calibrated there.
 //!
 //! A proposal's `rotation` has the columns forward, left, approach: it maps hand coordinates to camera coordinates.
 //! `hand_pose` and `waypoints` are 4x4 matrices of the hand frame, `camera_from_hand`, by rows. To drive a robot,
