@@ -82,7 +82,8 @@ pub struct Proposal {
     pub rank: usize,
     /// Pixel of the input; for scans, `u` is the point's index and `v` 0.
     pub pixel: Pixel,
-    /// Contact point; `None` without depth.
+    /// Contact point; `None` without depth. Where a picture's pixel has none, that of the object's nearest pixel with depth,
+    /// at most 4 columns and rows away.
     pub point: Option<[f32; 3]>,
     /// The hand's z axis.
     pub approach: [f32; 3],
