@@ -4,7 +4,9 @@ use std::ops::Range;
 
 use nalgebra::Point3;
 use where2act_core::{ImageSize, Observation, Pixel, Primitive};
-use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError};
+use where2act_model::preprocess::{
+    CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError, is_measured,
+};
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::NetworkInput;
@@ -274,16 +276,14 @@ fn check_pixel(observation: &Observation, pixel: Option<Pixel>) -> Result<(), Er
 
 /// Points of an observation, by pixel.
 trait PointAt {
-    /// The finite point a pixel of the object shows.
+    /// The point measured at a pixel of the object.
     fn point_at(&self, pixel: Pixel) -> Option<Point3<f32>>;
 }
 
 impl PointAt for Observation {
     fn point_at(&self, pixel: Pixel) -> Option<Point3<f32>> {
         match self {
-            Self::Cloud { points } => {
-                points.get(pixel.u as usize).copied().filter(|p| p.iter().all(|x| x.is_finite()))
-            }
+            Self::Cloud { points } => points.get(pixel.u as usize).copied().filter(is_measured),
             Self::Image { .. } => crate::dense::seen_point(self, pixel),
         }
     }

@@ -182,7 +182,7 @@ fn scans_with_holes_in_their_numbers_keep_their_indices() {
     let predictor = predictor(Modality::Cloud);
     let mut points = ball(3000, 0.5, 2.0);
     for i in (0..3000).step_by(3) {
-        points[i] = Point3::new(f32::NAN, 0.0, f32::INFINITY);
+        points[i] = if i % 2 == 0 { Point3::new(f32::NAN, 0.0, f32::INFINITY) } else { Point3::origin() };
     }
     let observation = Observation::Cloud { points: points.clone() };
     let output = predictor.predict_dense(&observation, &Options::default()).unwrap();
@@ -191,6 +191,9 @@ fn scans_with_holes_in_their_numbers_keep_their_indices() {
     }
     let map = output.maps.dense(Primitive::Pushing);
     assert!((0..3000).all(|i| (map[i] == 0.0) == (i % 3 == 0)));
+    assert_eq!(output.prediction.input.network_from_metres, 1.0);
+    let nowhere = Options { pixel: Some(Pixel { u: 3, v: 0 }), ..Options::default() };
+    assert!(predictor.predict(&observation, &nowhere).is_err());
 }
 
 #[test]
@@ -269,6 +272,7 @@ fn what_is_of_no_use_is_refused_by_name() {
     let nan = Point3::new(f32::NAN, 0.0, 1.0);
     says(cloud.predict(&points(vec![]), &options), &["finite points", "none"]);
     says(cloud.predict(&points(vec![nan; 10]), &options), &["finite points", "none"]);
+    says(cloud.predict(&points(vec![Point3::origin(); 10]), &options), &["finite points", "none"]);
     says(cloud.predict(&points(vec![Point3::new(0.0, 0.0, 1.0); 10]), &options), &["apart", "10"]);
     says(rgb.predict(&points(ball(100, 0.5, 2.0)), &options), &["scans", "pictures"]);
     says(cloud.predict(&picture(8, 8), &options), &["pictures", "scans"]);
