@@ -64,12 +64,12 @@ pub struct PrimitivePrediction {
     pub proposals: Vec<Proposal>,
 }
 
-/// A dense actionability map, summarised.
+/// A dense actionability map, summarised over the object or, if proposals may be in a region only, what of that is on it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActionabilitySummary {
-    /// Largest value over the object.
+    /// Largest value.
     pub max: f32,
-    /// Mean over the object.
+    /// Mean.
     pub mean: f32,
     /// File beside the JSON that holds the whole map (npy, f32, at the input's resolution); `None` in memory.
     pub map: Option<String>,

@@ -212,6 +212,36 @@ fn a_mask_keeps_candidates_and_heat_on_the_object() {
     assert!((0..8000).all(|i| (map[i] > 0.0) == on(i)));
 }
 
+#[test]
+fn what_is_smaller_than_a_pixel_of_the_network_is_found() {
+    // A pixel of the network is some four wide and high here.
+    let on = |pixels: &[usize]| (0..900 * 700).map(|i| pixels.contains(&i)).collect::<Vec<_>>();
+    let predictor = predictor(Modality::Rgb);
+    let seen = |mask: Option<Vec<bool>>, region: Option<Vec<bool>>| {
+        let mut observation = picture(900, 700);
+        if let Observation::Image { mask: of, .. } = &mut observation {
+            *of = mask;
+        }
+        let options = Options { region, ..Options::default() };
+        let prediction = predictor.predict(&observation, &options).map_err(|e| e.to_string())?;
+        assert!(prediction.primitives.iter().all(|of| of.actionability.max > 0.0));
+        let proposals = prediction.primitives.into_iter().flat_map(|of| of.proposals);
+        Ok(proposals.map(|p| (p.pixel.u, p.pixel.v)).collect::<Vec<_>>())
+    };
+    let corner = || Some(on(&[900 * 699 + 899]));
+    assert_eq!(seen(None, corner()), Ok(vec![(899, 699); 6]));
+    assert_eq!(seen(corner(), None), Ok(vec![(899, 699); 6]));
+    // Both ends of a picture, and nothing between.
+    let mut ends = seen(None, Some(on(&[0, 900 * 699 + 899]))).unwrap();
+    ends.sort_unstable();
+    assert_eq!(ends, [[(0, 0); 6], [(899, 699); 6]].concat());
+    let none = |what: &str| Err(format!("{what}: expected pixels of the object, found none"));
+    assert_eq!(seen(Some(on(&[])), None), none("mask"));
+    assert_eq!(seen(Some(on(&[])), corner()), none("mask"));
+    assert_eq!(seen(None, Some(on(&[]))), none("region"));
+    assert_eq!(seen(corner(), Some(on(&[0]))), none("region"));
+}
+
 /// A wall with a step of 15 cm towards the camera on its right side.
 fn step() -> Observation {
     let size = ImageSize::square(32);
@@ -275,6 +305,8 @@ fn what_is_of_no_use_is_refused_by_name() {
     says(cloud.predict(&points(vec![Point3::origin(); 10]), &options), &["finite points", "none"]);
     says(cloud.predict(&points(vec![Point3::new(0.0, 0.0, 1.0); 10]), &options), &["apart", "10"]);
     says(rgb.predict(&points(ball(100, 0.5, 2.0)), &options), &["scans", "pictures"]);
+    let nowhere = Options { region: Some(vec![false; 100]), ..Options::default() };
+    says(cloud.predict(&points(ball(100, 0.5, 2.0)), &nowhere), &["region", "points", "none"]);
     says(cloud.predict(&picture(8, 8), &options), &["pictures", "scans"]);
     says(rgb.predict(&picture(0, 8), &options), &["pixels"]);
     let elsewhere = Options { pixel: Some(Pixel { u: 8, v: 0 }), ..Options::default() };
