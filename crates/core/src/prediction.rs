@@ -31,7 +31,7 @@ pub struct Prediction {
 pub struct InputInfo {
     /// File name as given; empty for in-memory observations.
     pub source: String,
-    /// `rgb`, `rgbd`, `depth` or `cloud`.
+    /// `rgb`, `rgbd`, `depth` or `cloud`. A picture whose depth has no intrinsics, and so gives no points, is `rgb`.
     pub kind: String,
     /// Width in pixels, or the number of points of a scan.
     pub width: usize,

@@ -69,6 +69,9 @@ impl<'a> Prepared<'a> {
         match config.modality {
             Modality::Rgb if needed == Modality::Rgb => Self::picture(observation, config, options),
             Modality::Cloud if needed == Modality::Cloud || both => Self::scan(observation, config, options),
+            Modality::Cloud if matches!(observation, Observation::Image { depth: Some(_), .. }) => {
+                Err(no_intrinsics())
+            }
             found => {
                 let (needed, found) = (reads(needed), reads(found));
                 Err(Error::Modality { model: model.to_owned(), needed, found })
@@ -240,6 +243,10 @@ fn unusable(error: PreprocessError) -> Error {
     }
 }
 
+fn no_intrinsics() -> Error {
+    Error::invalid("intrinsics", "those of the depth map", "none")
+}
+
 fn check(observation: &Observation) -> Result<(), Error> {
     let Observation::Image { size, rgb, depth, intrinsics, mask } = observation else { return Ok(()) };
     let buffers = [
@@ -259,7 +266,7 @@ fn check(observation: &Observation) -> Result<(), Error> {
         return Err(Error::invalid("observation", "a picture or a depth map", "neither"));
     }
     match intrinsics {
-        None if rgb.is_none() => Err(Error::invalid("intrinsics", "those of the depth map", "none")),
+        None if rgb.is_none() => Err(no_intrinsics()),
         Some(i) => {
             let sound = [i.fx, i.fy, i.cx, i.cy].into_iter().all(f32::is_finite) && i.fx > 0.0 && i.fy > 0.0;
             let found = || format!("{},{},{},{}", i.fx, i.fy, i.cx, i.cy);

@@ -288,6 +288,10 @@ fn hands_that_begin_in_what_is_seen_are_left_out() {
     assert!(hands(&masked, true).iter().all(|hand| in_palm(&hand.hand_pose.unwrap()) < 2));
     assert!(hands(&masked, false).iter().any(|hand| in_palm(&hand.hand_pose.unwrap()) > 1));
     assert_eq!(hands(&unknown, true), hands(&unknown, false));
+    let kind = |observation| predictors[0].predict(observation, &all(true)).unwrap().input.kind;
+    assert_eq!((kind(&masked).as_str(), kind(&unknown).as_str()), ("rgbd", "rgb"));
+    let refused = predictors[1].predict(&unknown, &all(true)).unwrap_err().to_string();
+    assert_eq!(refused, "intrinsics: expected those of the depth map, found none");
 }
 
 #[test]
