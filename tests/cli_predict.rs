@@ -134,6 +134,13 @@ fn depth_gives_points_and_poses() {
             }
         }
     }
+    // A 16-bit grey picture with a depth map of its own is no depth map, in a folder either.
+    std::fs::create_dir(bench.path("grey")).unwrap();
+    std::fs::copy(bench.path("depth.png"), bench.path("grey/depth.png")).unwrap();
+    for input in ["depth.png", "grey"] {
+        let run = bench.predict(&[input, "--depth", "depth.png", "--fov", "40", "--json"]).assert().success();
+        assert_eq!(parse_line(&run.get_output().stdout).input.kind, "rgbd", "{input}");
+    }
     let cloud = std::fs::read(bench.path("scan/cloud_pulling.ply")).unwrap();
     assert_eq!(where2act_infer::read::parse_ply(&cloud).unwrap().len(), 3000);
 }
@@ -213,6 +220,20 @@ fn bad_files_in_a_folder_cost_no_other_its_prediction() {
     assert_eq!(made, ["picture", "scan"]);
     bench.prediction("out/picture");
     bench.prediction("out/scan");
+}
+
+#[test]
+fn weights_that_are_missing_cost_those_alone_who_need_them() {
+    let bench = Bench::new();
+    std::fs::remove_dir_all(bench.path("weights/cloud")).unwrap();
+    // Its turn comes first.
+    let args = ["scan.ply", "picture.png", "--weights", "weights", "--out", "out"];
+    let run = bench.predict(&args).assert().failure().code(2);
+    let stderr = String::from_utf8_lossy(&run.get_output().stderr).into_owned();
+    let lines: Vec<&str> = stderr.trim_end().lines().collect();
+    let [scan, all] = lines[..] else { panic!("{stderr}") };
+    assert!(scan.contains("scan.ply: weights: expected a folder") && all.contains("1 of 2 inputs failed"));
+    bench.prediction("out/picture");
 }
 
 #[test]

@@ -41,7 +41,8 @@ pub struct Pixel {
     pub v: u32,
 }
 
-/// Focal lengths and principal point, in pixels of a picture whose corner is at (0, 0).
+/// Focal lengths and principal point, in pixels of a picture whose corner is at (0, 0): centres of pixels are at + 0.5. In
+/// OpenCV and ROS they are at whole numbers; add 0.5 to `cx` and `cy` of a camera that was calibrated there.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Horizontal focal length.

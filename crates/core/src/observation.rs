@@ -22,7 +22,8 @@ pub enum Observation {
     },
     /// Points in the optical frame, metres.
     Cloud {
-        /// At least one finite point.
+        /// At least one measured point. Those that are not finite, or exactly at (0, 0, 0), as organised clouds mark what they
+        /// did not see, count as nothing; they keep their index.
         points: Vec<Point3<f32>>,
     },
 }

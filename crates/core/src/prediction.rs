@@ -31,7 +31,7 @@ pub struct Prediction {
 pub struct InputInfo {
     /// File name as given; empty for in-memory observations.
     pub source: String,
-    /// `rgb`, `rgbd`, `depth` or `cloud`.
+    /// `rgb`, `rgbd`, `depth` or `cloud`. A picture whose depth has no intrinsics, and so gives no points, is `rgb`.
     pub kind: String,
     /// Width in pixels, or the number of points of a scan.
     pub width: usize,
@@ -64,12 +64,12 @@ pub struct PrimitivePrediction {
     pub proposals: Vec<Proposal>,
 }
 
-/// A dense actionability map, summarised.
+/// A dense actionability map, summarised over the object or, if proposals may be in a region only, what of that is on it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActionabilitySummary {
-    /// Largest value over the object.
+    /// Largest value.
     pub max: f32,
-    /// Mean over the object.
+    /// Mean.
     pub mean: f32,
     /// File beside the JSON that holds the whole map (npy, f32, at the input's resolution); `None` in memory.
     pub map: Option<String>,
@@ -82,7 +82,8 @@ pub struct Proposal {
     pub rank: usize,
     /// Pixel of the input; for scans, `u` is the point's index and `v` 0.
     pub pixel: Pixel,
-    /// Contact point; `None` without depth.
+    /// Contact point; `None` without depth. Where a picture's pixel has none, that of the object's nearest pixel with depth,
+    /// at most 4 columns and rows away.
     pub point: Option<[f32; 3]>,
     /// The hand's z axis.
     pub approach: [f32; 3],
@@ -111,7 +112,7 @@ pub struct Proposal {
 /// Milliseconds by stage.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Timing {
-    /// Decoding and preprocessing the input.
+    /// From the observation in memory to what the network reads. Reading and decoding files comes before all of this.
     pub preprocess: f64,
     /// The backbone's forward pass.
     pub backbone: f64,

@@ -1,6 +1,6 @@
-//! Whether the hand has room: nothing that is seen may be where palm and fingers are at the start, nor before them, nor where the
-//! palm is until the finger tips touch, nor, for pulling, where the open fingers are before they close. (The simulator's
-//! `Clearance` asks the object itself, of which a camera sees half.)
+//! Whether the hand has room: nothing that is seen may be where palm and fingers are at the start, nor between them and the
+//! camera, nor where the palm is until the finger tips touch, nor, for pulling, where the open fingers are before they close.
+//! (The simulator's `Clearance` asks the object itself, of which a camera sees half.)
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::{GRIPPER, GripperGeometry, Primitive};

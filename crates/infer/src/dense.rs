@@ -3,7 +3,7 @@
 use nalgebra::Point3;
 use rayon::prelude::*;
 use where2act_core::{Observation, Pixel, Primitive};
-use where2act_model::preprocess::Letterbox;
+use where2act_model::preprocess::{Letterbox, is_measured};
 
 use crate::nearest::NearestIndex;
 
@@ -55,8 +55,8 @@ impl DenseMaps<'_> {
         }
     }
 
-    /// Actionability at a point of a scan. `None` for pictures, points that are not finite, and primitives the
-    /// network does not know.
+    /// Actionability at a point of a scan. `None` for pictures, points that were not measured (not finite, or at (0, 0, 0)),
+    /// and primitives the network does not know.
     #[must_use]
     pub fn at_point(&self, primitive: Primitive, point: usize) -> Option<f32> {
         let output = self.output(primitive)?;
@@ -65,7 +65,7 @@ impl DenseMaps<'_> {
         else {
             return None;
         };
-        self.interpolate(index, output, points.get(point)?)
+        self.interpolate(index, output, points.get(point).filter(|p| is_measured(p))?)
     }
 
     /// One row of a picture's map; 0 off the object. For scans, row 0 holds every point.

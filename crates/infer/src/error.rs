@@ -91,7 +91,12 @@ pub enum Error {
         known: Vec<Primitive>,
     },
     /// A buffer of the observation does not fit its size.
-    #[error("{buffer}: expected {} x {} = {} values, found {found}", size.width, size.height, size.pixels())]
+    #[error(
+        "{buffer}: expected {} x {} = {} values, found {found}",
+        size.width,
+        size.height,
+        size.width.saturating_mul(size.height)
+    )]
     BufferSize {
         /// `rgb`, `depth` or `mask`.
         buffer: &'static str,

@@ -9,7 +9,8 @@
 //! let predictor = Predictor::load(Path::new("weights/cloud"))?;
 //! let size = ImageSize { width: 640, height: 480 };
 //! let depth = vec![0.8; size.pixels()]; // metres, from the camera's driver
-//! let intrinsics = Some(Intrinsics { fx: 615.1, fy: 615.4, cx: 320.2, cy: 239.8 });
+//! // OpenCV's and ROS's cx and cy count from the middle of the first pixel: 0.5 less than here.
+//! let intrinsics = Some(Intrinsics { fx: 615.1, fy: 615.4, cx: 319.7 + 0.5, cy: 239.3 + 0.5 });
 //! let observation = Observation::Image { size, rgb: None, depth: Some(depth), intrinsics, mask: None };
 //!
 //! let prediction = predictor.predict(&observation, &Options::default())?;
@@ -22,7 +23,9 @@
 //! # }
 //! ```
 //!
-//! A [`Predictor`] is `Send + Sync`, holds no locks while it computes and knows no globals: share one between threads.
+//! A [`Predictor`] is `Send + Sync` and holds no locks while it computes: share one between threads. It uses rayon's current
+//! pool, threads keep scratch memory from one prediction to the next, and `WHERE2ACT_ISA`, an environment variable that may
+//! name a narrower instruction set, is read once in a process.
 //! It prints nothing and panics on no input; what went wrong is an [`Error`] that says what was expected and found.
 //! The same input, options and weights give the same bits on one machine, whatever the number of threads.
 //!
@@ -43,6 +46,9 @@
 //!     y (down, as v)                    o: the mounting flange, 0.112 m behind the finger tips
 //! ```
 //!
+//! In pictures the corner of the first pixel is at (0, 0), its centre at (0.5, 0.5), and [`where2act_core::Intrinsics`] go by
+//! that. In OpenCV and ROS the centre is at (0, 0): add 0.5 to `cx` and `cy` of a camera that was calibrated there.
+//!
 //! A proposal's `rotation` has the columns forward, left, approach: it maps hand coordinates to camera coordinates.
 //! `hand_pose` and `waypoints` are 4x4 matrices of the hand frame, `camera_from_hand`, by rows. To drive a robot,
 //! multiply from the left with your `base_from_camera`. The hand starts 0.15 m behind the contact point:
@@ -60,10 +66,11 @@
 //!
 //! # Room for the hand
 //!
-//! A proposal is left out if the scan or the depth map, masked or not, shows something in the place of the palm or the
-//! fingers at the start or before them, or in that of the palm until the finger tips touch, or, for pulling, of the open fingers
-//! before they close. So there may be fewer proposals than asked for, or none. What else the camera does not see is not
-//! considered, nor is the arm behind the hand. [`Options::clearance`] switches it off.
+//! Hands that would overlap something that the scan or the depth map shows, masked or not, are left out: with palm or
+//! fingers at the start, with the palm until the finger tips touch or, for pulling, with the open fingers before they close.
+//! So are hands that would begin behind something seen: nobody knows what is there. Hence there may be fewer proposals than
+//! asked for, or none. What else the camera does not see is not considered, nor is the arm behind the hand.
+//! [`Options::clearance`] switches it off.
 //!
 //! # Sizes
 //!

@@ -22,11 +22,13 @@ pub struct Options {
     /// Ask for this pixel of the input only (for scans: `u` is the point's index), whatever the region: "what can I do here?"
     pub pixel: Option<Pixel>,
     /// Where proposals may be, one entry per pixel of the input or point of the scan: say, the parts that move. The
-    /// network still sees everything. `None` = anywhere on the object.
+    /// network still sees everything. Of a picture one pixel of the object is enough; a network for scans sees some thousand
+    /// points, spread evenly, and one of these has to be inside. `None` = anywhere on the object.
     pub region: Option<Vec<bool>>,
-    /// Whether hands are left out that have no room: where a scan or a depth map shows something in the place of palm or
-    /// fingers at the start or before them, of the palm until the finger tips touch or, for pulling, of the open fingers
-    /// before they close. There may be fewer proposals then than asked for, or none. Default: true.
+    /// Whether hands are left out that have no room: those that would overlap something a scan or a depth map shows, with palm
+    /// or fingers at the start, with the palm until the finger tips touch or, for pulling, with the open fingers before they
+    /// close; and those that would begin behind something seen. There may be fewer proposals then than asked for, or none.
+    /// Default: true.
     pub clearance: bool,
     /// Root of the randomness of the proposals. The same seed and input give the same bits.
     pub seed: Seed,

@@ -321,7 +321,8 @@ struct Known<'a> {
 fn kind(observation: &Observation) -> &'static str {
     match observation {
         Observation::Cloud { .. } => "cloud",
-        Observation::Image { rgb: Some(_), depth: Some(_), .. } => "rgbd",
+        // Depth gives points only with a camera.
+        Observation::Image { rgb: Some(_), depth: Some(_), intrinsics: Some(_), .. } => "rgbd",
         Observation::Image { rgb: Some(_), .. } => "rgb",
         Observation::Image { .. } => "depth",
     }

@@ -1,10 +1,13 @@
 //! From an observation to what the network sees, and the way back.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 
 use nalgebra::Point3;
 use where2act_core::{ImageSize, Observation, Pixel, Primitive};
-use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError};
+use where2act_model::preprocess::{
+    CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError, is_measured,
+};
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::NetworkInput;
@@ -38,6 +41,8 @@ pub(crate) struct Prepared<'a> {
     pub(crate) geometry: Geometry,
     /// Pixel of the input for each row of a network for scans.
     pixels: Vec<Pixel>,
+    /// Pixel of the input for rows of a network for pictures that show something smaller than they are.
+    details: BTreeMap<u32, Pixel>,
     /// Depth map of the input.
     depth: Option<DepthView<'a>>,
     /// A scan at full density, in metres.
@@ -64,6 +69,9 @@ impl<'a> Prepared<'a> {
         match config.modality {
             Modality::Rgb if needed == Modality::Rgb => Self::picture(observation, config, options),
             Modality::Cloud if needed == Modality::Cloud || both => Self::scan(observation, config, options),
+            Modality::Cloud if matches!(observation, Observation::Image { depth: Some(_), .. }) => {
+                Err(no_intrinsics())
+            }
             found => {
                 let (needed, found) = (reads(needed), reads(found));
                 Err(Error::Modality { model: model.to_owned(), needed, found })
@@ -82,13 +90,25 @@ impl<'a> Prepared<'a> {
         }
         let side = letterbox.side;
         let network = ImageSize::square(side);
-        let rows = (0..side as u32).flat_map(|v| (0..side as u32).map(move |u| Pixel { u, v }));
-        let wanted = |source: Pixel| in_region(options, size.index(source)) && on_object(observation, source);
-        let on = rows.filter(|p| letterbox.to_source(*p).is_some_and(wanted));
-        let places = Places::new(
-            on.map(|p| (network.index(p) as u32, [p.u as f32, p.v as f32, 0.0])),
-            PIXEL_DISTANCE * side as f32,
-        );
+        let wanted =
+            |source: &Pixel| in_region(options, size.index(*source)) && on_object(observation, *source);
+        let at = |p: Pixel| (network.index(p) as u32, [p.u as f32, p.v as f32, 0.0]);
+        let distance = PIXEL_DISTANCE * side as f32;
+        let on = pixels(network).filter(|p| letterbox.to_source(*p).as_ref().is_some_and(wanted));
+        let mut places = Places::new(on.map(at), distance);
+        let mut details = BTreeMap::new();
+        if places.rows().is_empty() {
+            // No pixel of the network has in its middle what is wanted: those around it stand for it.
+            for pixel in pixels(*size).filter(wanted) {
+                details.entry(letterbox.network_index(pixel) as u32).or_insert(pixel);
+            }
+            places = Places::new(details.values().map(|pixel| at(letterbox.to_network(*pixel))), distance);
+        }
+        if places.rows().is_empty() && options.pixel.is_none() {
+            let masked = mask.as_ref().is_some_and(|mask| !mask.contains(&true));
+            let what = if masked { "mask" } else { "region" };
+            return Err(Error::invalid(what, "pixels of the object", "none"));
+        }
         Ok(Self {
             input: NetworkInput::Picture { values, side },
             places,
@@ -96,6 +116,7 @@ impl<'a> Prepared<'a> {
             asked: options.pixel,
             geometry: Geometry::Grid(letterbox),
             pixels: Vec::new(),
+            details,
             depth: DepthView::of(observation),
             surface: None,
             network_from_metres: 1.0,
@@ -124,6 +145,9 @@ impl<'a> Prepared<'a> {
         let wanted =
             xyz.iter().zip(&pixels).enumerate().filter(|(_, (_, p))| in_region(options, position(p)));
         let places = Places::new(wanted.map(|(i, (xyz, _))| (i as u32, *xyz)), POINT_DISTANCE);
+        if places.rows().is_empty() && options.pixel.is_none() {
+            return Err(Error::invalid("region", "one of the points that the network sees", "none"));
+        }
         let none =
             |p: Pixel| Error::invalid("pixel", "one of the object, with depth", format!("{},{}", p.u, p.v));
         let asked = options.pixel.map(|p| observation.point_at(p).ok_or_else(|| none(p))).transpose()?;
@@ -136,6 +160,7 @@ impl<'a> Prepared<'a> {
             asked: options.pixel,
             geometry: Geometry::Points { index, asked },
             pixels,
+            details: BTreeMap::new(),
             depth: DepthView::of(observation),
             surface: Some(surface),
         })
@@ -176,7 +201,8 @@ impl<'a> Prepared<'a> {
             Geometry::Grid(letterbox) => {
                 let side = letterbox.side as u32;
                 let here = Pixel { u: row % side, v: row / side };
-                let source = self.asked.or_else(|| letterbox.to_source(here));
+                let detail = self.details.get(&row).copied();
+                let source = self.asked.or(detail).or_else(|| letterbox.to_source(here));
                 let pixel = source.unwrap_or(Pixel { u: 0, v: 0 });
                 let point = self.depth.and_then(|d| d.contact(pixel));
                 let normal = self.depth.zip(point).and_then(|(d, p)| d.normal(pixel, &p));
@@ -198,6 +224,11 @@ impl<'a> Prepared<'a> {
     }
 }
 
+/// All pixels of a picture, row by row.
+fn pixels(size: ImageSize) -> impl Iterator<Item = Pixel> {
+    (0..size.height as u32).flat_map(move |v| (0..size.width as u32).map(move |u| Pixel { u, v }))
+}
+
 fn unusable(error: PreprocessError) -> Error {
     match error {
         PreprocessError::OnePlace(n) => {
@@ -210,6 +241,10 @@ fn unusable(error: PreprocessError) -> Error {
         ),
         other => Error::invalid("observation", "a picture with pixels", other.to_string()),
     }
+}
+
+fn no_intrinsics() -> Error {
+    Error::invalid("intrinsics", "those of the depth map", "none")
 }
 
 fn check(observation: &Observation) -> Result<(), Error> {
@@ -231,7 +266,7 @@ fn check(observation: &Observation) -> Result<(), Error> {
         return Err(Error::invalid("observation", "a picture or a depth map", "neither"));
     }
     match intrinsics {
-        None if rgb.is_none() => Err(Error::invalid("intrinsics", "those of the depth map", "none")),
+        None if rgb.is_none() => Err(no_intrinsics()),
         Some(i) => {
             let sound = [i.fx, i.fy, i.cx, i.cy].into_iter().all(f32::is_finite) && i.fx > 0.0 && i.fy > 0.0;
             let found = || format!("{},{},{},{}", i.fx, i.fy, i.cx, i.cy);
@@ -274,16 +309,14 @@ fn check_pixel(observation: &Observation, pixel: Option<Pixel>) -> Result<(), Er
 
 /// Points of an observation, by pixel.
 trait PointAt {
-    /// The finite point a pixel of the object shows.
+    /// The point measured at a pixel of the object.
     fn point_at(&self, pixel: Pixel) -> Option<Point3<f32>>;
 }
 
 impl PointAt for Observation {
     fn point_at(&self, pixel: Pixel) -> Option<Point3<f32>> {
         match self {
-            Self::Cloud { points } => {
-                points.get(pixel.u as usize).copied().filter(|p| p.iter().all(|x| x.is_finite()))
-            }
+            Self::Cloud { points } => points.get(pixel.u as usize).copied().filter(is_measured),
             Self::Image { .. } => crate::dense::seen_point(self, pixel),
         }
     }

@@ -21,14 +21,16 @@ pub(crate) struct DepthView<'a> {
     pub(crate) size: ImageSize,
     pub(crate) depth: &'a [f32],
     pub(crate) intrinsics: Intrinsics,
+    /// What is the object: the only thing to touch, but not the only one in a hand's way.
+    pub(crate) mask: Option<&'a [bool]>,
 }
 
 impl DepthView<'_> {
     /// The depth map of an observation that has one, and its camera.
     pub(crate) fn of(observation: &Observation) -> Option<DepthView<'_>> {
         match observation {
-            Observation::Image { size, depth: Some(depth), intrinsics: Some(intrinsics), .. } => {
-                Some(DepthView { size: *size, depth, intrinsics: *intrinsics })
+            Observation::Image { size, depth: Some(depth), intrinsics: Some(intrinsics), mask, .. } => {
+                Some(DepthView { size: *size, depth, intrinsics: *intrinsics, mask: mask.as_deref() })
             }
             _ => None,
         }
@@ -58,7 +60,7 @@ impl DepthView<'_> {
         seen
     }
 
-    /// The point seen at a pixel, or at the nearest pixel with depth a few pixels around it.
+    /// The point seen at a pixel, or at the nearest pixel of the object with depth a few pixels around it.
     pub(crate) fn contact(&self, pixel: Pixel) -> Option<Point3<f32>> {
         if let Some(z) = self.depth_at(i64::from(pixel.u), i64::from(pixel.v)) {
             return Some(self.intrinsics.pixel_to_point(pixel, z));
@@ -68,7 +70,7 @@ impl DepthView<'_> {
         self.around(centre, (HOLE, HOLE), 1, |near, z| {
             let (du, dv) = (i64::from(near.u) - i64::from(pixel.u), i64::from(near.v) - i64::from(pixel.v));
             let d = du * du + dv * dv;
-            if nearest.is_none_or(|n| d < n.0) {
+            if self.on_object(near) && nearest.is_none_or(|n| d < n.0) {
                 nearest = Some((d, near, z));
             }
         });
@@ -85,6 +87,10 @@ impl DepthView<'_> {
             }
         });
         normal(&points)
+    }
+
+    fn on_object(&self, pixel: Pixel) -> bool {
+        self.mask.is_none_or(|mask| mask.get(self.size.index(pixel)).copied().unwrap_or(false))
     }
 
     fn depth_at(&self, u: i64, v: i64) -> Option<f32> {
@@ -145,13 +151,29 @@ mod tests {
             .collect();
         let pixel = Pixel { u: 30, v: 40 };
         depth[size.index(pixel)] = f32::NAN;
-        let view = DepthView { size, depth: &depth, intrinsics };
+        let view = DepthView { size, depth: &depth, intrinsics, mask: None };
         let contact = view.contact(pixel).unwrap();
         assert!((contact.z - 2.0 - 0.5 * contact.x).abs() < 1e-4);
         let normal = view.normal(pixel, &contact).unwrap();
         assert!((normal - Vector3::new(0.5, 0.0, -1.0).normalize()).norm() < 1e-2, "{normal}");
         let nothing = vec![0.0; size.pixels()];
-        assert!(DepthView { size, depth: &nothing, intrinsics }.contact(pixel).is_none());
+        assert!(DepthView { depth: &nothing, ..view }.contact(pixel).is_none());
+    }
+
+    #[test]
+    fn a_hole_at_the_edge_of_the_object_takes_none_of_what_is_behind() {
+        // A door on the left of column 20, 1 m before a wall; its last two columns have no depth.
+        let size = ImageSize::square(32);
+        let intrinsics = Intrinsics::from_fov(size, 0.6);
+        let of_column = |u: usize| [2.0, 0.0, 3.0][usize::from(u >= 18) + usize::from(u >= 20)];
+        let depth: Vec<f32> = (0..size.pixels()).map(|i| of_column(i % 32)).collect();
+        let mask: Vec<bool> = (0..size.pixels()).map(|i| i % 32 < 20).collect();
+        let edge = Pixel { u: 19, v: 16 };
+        let seen = |mask| DepthView { size, depth: &depth, intrinsics, mask }.contact(edge).unwrap();
+        assert_eq!((seen(None).z, seen(Some(&mask)).z), (3.0, 2.0));
+        // All that is seen is in the way, whatever it belongs to.
+        let view = DepthView { size, depth: &depth, intrinsics, mask: Some(&mask) };
+        assert!(view.around_point(&seen(Some(&mask)), 1.5).iter().any(|p| p.z > 2.5));
     }
 
     #[test]
@@ -163,7 +185,7 @@ mod tests {
             let ledge = |i: usize| i / side > side / 4;
             let mut depth: Vec<f32> = (0..size.pixels()).map(|i| if ledge(i) { 1.85 } else { 2.0 }).collect();
             (depth[0], depth[1], depth[2]) = (0.0, f32::NAN, 1e30);
-            let view = DepthView { size, depth: &depth, intrinsics };
+            let view = DepthView { size, depth: &depth, intrinsics, mask: None };
             let contact = Point3::new(0.3, -0.01, 2.0);
             let near = |p: &&Point3<f32>| (*p - contact).norm() < 0.2;
             let found = view.around_point(&contact, 0.2);
@@ -192,7 +214,7 @@ mod tests {
         let intrinsics = Intrinsics { fx: 525.0, fy: 525.0, cx: 320.0, cy: 240.0 };
         for (distance, finest) in [(0.2, 0.008), (0.3, 0.012)] {
             let depth = vec![distance; size.pixels()];
-            let view = DepthView { size, depth: &depth, intrinsics };
+            let view = DepthView { size, depth: &depth, intrinsics, mask: None };
             let found = view.around_point(&Point3::new(0.0, 0.0, distance), 0.2);
             assert!((500..4000).contains(&found.len()), "{distance}: {}", found.len());
             let [a, b] = [found[0], found[1]];
@@ -200,7 +222,8 @@ mod tests {
         }
         // However close and whatever the focal length, nothing overflows.
         let depth = vec![1e-30; size.pixels()];
-        let view = DepthView { size, depth: &depth, intrinsics: Intrinsics { fx: 1e30, ..intrinsics } };
+        let intrinsics = Intrinsics { fx: 1e30, ..intrinsics };
+        let view = DepthView { size, depth: &depth, intrinsics, mask: None };
         assert!(!view.around_point(&Point3::new(0.0, 0.0, 1e-30), 0.2).is_empty());
     }
 
@@ -211,7 +234,7 @@ mod tests {
         let intrinsics = Intrinsics { fx: 525.0, fy: 525.0, cx: 320.0, cy: 240.0 };
         let noise = |i: usize| ((i * 2_654_435_761) % 1000) as f32 / 1000.0 - 0.5;
         let depth: Vec<f32> = (0..size.pixels()).map(|i| 0.7 + 0.004 * noise(i)).collect();
-        let view = DepthView { size, depth: &depth, intrinsics };
+        let view = DepthView { size, depth: &depth, intrinsics, mask: None };
         let pixel = Pixel { u: 300, v: 200 };
         let normal = view.normal(pixel, &view.contact(pixel).unwrap()).unwrap();
         assert!(normal.dot(&-Vector3::z()) > 0.99, "{normal}");

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
 use where2act_core::{
     GRIPPER, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing,
 };
-use where2act_infer::{Backend, Error, Options, Predictor};
+use where2act_infer::{Backend, Error, Options, Output, Predictor, draw_overlay};
 use where2act_kernels::Isa;
 use where2act_model::{Modality, ModelConfig, Network, Weights};
 
@@ -114,7 +114,12 @@ fn the_engine_and_burn_agree() {
         predictor.predict_dense(&observation, &Options::default()).unwrap().maps.dense(Primitive::Pulling)
     };
     let (fast, burn) = (maps(Backend::Fast), maps(Backend::Flex));
-    let apart = |other: &[f32]| fast.iter().zip(other).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let apart = |other: &[f32]| {
+        assert_eq!(fast.len(), other.len());
+        let apart = fast.iter().zip(other).map(|(a, b)| (a - b).abs());
+        // `max` alone would pass over what is no number.
+        apart.fold(0.0f32, |most, d| if d.is_nan() { f32::INFINITY } else { most.max(d) })
+    };
     assert!(apart(&burn) < 1e-4, "{}", apart(&burn));
     if Isa::bf16().is_some() {
         let near = apart(&maps(Backend::Bf16));
@@ -177,7 +182,7 @@ fn scans_with_holes_in_their_numbers_keep_their_indices() {
     let predictor = predictor(Modality::Cloud);
     let mut points = ball(3000, 0.5, 2.0);
     for i in (0..3000).step_by(3) {
-        points[i] = Point3::new(f32::NAN, 0.0, f32::INFINITY);
+        points[i] = if i % 2 == 0 { Point3::new(f32::NAN, 0.0, f32::INFINITY) } else { Point3::origin() };
     }
     let observation = Observation::Cloud { points: points.clone() };
     let output = predictor.predict_dense(&observation, &Options::default()).unwrap();
@@ -186,6 +191,9 @@ fn scans_with_holes_in_their_numbers_keep_their_indices() {
     }
     let map = output.maps.dense(Primitive::Pushing);
     assert!((0..3000).all(|i| (map[i] == 0.0) == (i % 3 == 0)));
+    assert_eq!(output.prediction.input.network_from_metres, 1.0);
+    let nowhere = Options { pixel: Some(Pixel { u: 3, v: 0 }), ..Options::default() };
+    assert!(predictor.predict(&observation, &nowhere).is_err());
 }
 
 #[test]
@@ -202,6 +210,36 @@ fn a_mask_keeps_candidates_and_heat_on_the_object() {
     }
     let map = output.maps.dense(Primitive::Pulling);
     assert!((0..8000).all(|i| (map[i] > 0.0) == on(i)));
+}
+
+#[test]
+fn what_is_smaller_than_a_pixel_of_the_network_is_found() {
+    // A pixel of the network is some four wide and high here.
+    let on = |pixels: &[usize]| (0..900 * 700).map(|i| pixels.contains(&i)).collect::<Vec<_>>();
+    let predictor = predictor(Modality::Rgb);
+    let seen = |mask: Option<Vec<bool>>, region: Option<Vec<bool>>| {
+        let mut observation = picture(900, 700);
+        if let Observation::Image { mask: of, .. } = &mut observation {
+            *of = mask;
+        }
+        let options = Options { region, ..Options::default() };
+        let prediction = predictor.predict(&observation, &options).map_err(|e| e.to_string())?;
+        assert!(prediction.primitives.iter().all(|of| of.actionability.max > 0.0));
+        let proposals = prediction.primitives.into_iter().flat_map(|of| of.proposals);
+        Ok(proposals.map(|p| (p.pixel.u, p.pixel.v)).collect::<Vec<_>>())
+    };
+    let corner = || Some(on(&[900 * 699 + 899]));
+    assert_eq!(seen(None, corner()), Ok(vec![(899, 699); 6]));
+    assert_eq!(seen(corner(), None), Ok(vec![(899, 699); 6]));
+    // Both ends of a picture, and nothing between.
+    let mut ends = seen(None, Some(on(&[0, 900 * 699 + 899]))).unwrap();
+    ends.sort_unstable();
+    assert_eq!(ends, [[(0, 0); 6], [(899, 699); 6]].concat());
+    let none = |what: &str| Err(format!("{what}: expected pixels of the object, found none"));
+    assert_eq!(seen(Some(on(&[])), None), none("mask"));
+    assert_eq!(seen(Some(on(&[])), corner()), none("mask"));
+    assert_eq!(seen(None, Some(on(&[]))), none("region"));
+    assert_eq!(seen(corner(), Some(on(&[0]))), none("region"));
 }
 
 /// A wall with a step of 15 cm towards the camera on its right side.
@@ -250,6 +288,10 @@ fn hands_that_begin_in_what_is_seen_are_left_out() {
     assert!(hands(&masked, true).iter().all(|hand| in_palm(&hand.hand_pose.unwrap()) < 2));
     assert!(hands(&masked, false).iter().any(|hand| in_palm(&hand.hand_pose.unwrap()) > 1));
     assert_eq!(hands(&unknown, true), hands(&unknown, false));
+    let kind = |observation| predictors[0].predict(observation, &all(true)).unwrap().input.kind;
+    assert_eq!((kind(&masked).as_str(), kind(&unknown).as_str()), ("rgbd", "rgb"));
+    let refused = predictors[1].predict(&unknown, &all(true)).unwrap_err().to_string();
+    assert_eq!(refused, "intrinsics: expected those of the depth map, found none");
 }
 
 #[test]
@@ -264,8 +306,11 @@ fn what_is_of_no_use_is_refused_by_name() {
     let nan = Point3::new(f32::NAN, 0.0, 1.0);
     says(cloud.predict(&points(vec![]), &options), &["finite points", "none"]);
     says(cloud.predict(&points(vec![nan; 10]), &options), &["finite points", "none"]);
+    says(cloud.predict(&points(vec![Point3::origin(); 10]), &options), &["finite points", "none"]);
     says(cloud.predict(&points(vec![Point3::new(0.0, 0.0, 1.0); 10]), &options), &["apart", "10"]);
     says(rgb.predict(&points(ball(100, 0.5, 2.0)), &options), &["scans", "pictures"]);
+    let nowhere = Options { region: Some(vec![false; 100]), ..Options::default() };
+    says(cloud.predict(&points(ball(100, 0.5, 2.0)), &nowhere), &["region", "points", "none"]);
     says(cloud.predict(&picture(8, 8), &options), &["pictures", "scans"]);
     says(rgb.predict(&picture(0, 8), &options), &["pixels"]);
     let elsewhere = Options { pixel: Some(Pixel { u: 8, v: 0 }), ..Options::default() };
@@ -289,6 +334,11 @@ fn what_is_of_no_use_is_refused_by_name() {
     says(cloud.predict(&depth(vec![1.0; 64], flat), &options), &["intrinsics", "positive"]);
     let nothing = Observation::Image { size, rgb: None, depth: None, intrinsics, mask: None };
     says(cloud.predict(&nothing, &options), &["neither"]);
+    // A size whose product is more than a number holds.
+    let size = ImageSize { width: usize::MAX, height: 2 };
+    let depth = Some(vec![1.0; 64]);
+    let endless = Observation::Image { size, rgb: None, depth, intrinsics, mask: None };
+    says(cloud.predict(&endless, &options), &["depth", &format!("= {} values", usize::MAX), "64"]);
 }
 
 #[test]
@@ -297,6 +347,19 @@ fn a_million_points() {
     let prediction = predictor(Modality::Cloud).predict(&observation, &Options::default()).unwrap();
     assert_eq!(prediction.input.width, 1_000_000);
     assert!(prediction.primitives.iter().all(|p| !p.proposals.is_empty()));
+}
+
+/// A scan around its own origin has points beside the camera, whose projections have no bounds: what that overflows,
+/// the overflow checks that CI runs this with would show.
+#[test]
+fn points_beside_the_camera_spoil_no_drawing() {
+    let mut points = ball(3000, 0.5, 2.0);
+    points.extend([Point3::new(1.0, 0.0, 1e-20), Point3::new(0.0, -1.0, 1e-20), Point3::new(1.0, 1.0, 0.0)]);
+    let scan = Observation::Cloud { points };
+    let predictor = predictor(Modality::Cloud);
+    let Output { prediction, maps } = predictor.predict_dense(&scan, &Options::default()).unwrap();
+    let overlay = draw_overlay(&scan, &maps, &prediction.primitives[0]);
+    assert!(overlay.pixels().filter(|pixel| pixel.0 != [255; 3]).count() > 10_000);
 }
 
 /// What is built in is what lies in `weights/`, and it answers as if it had been loaded from there.

@@ -158,3 +158,15 @@ fn one_pixel_is_a_picture_and_colour_is_no_depth() {
     mask.write_to(&mut bytes, ImageFormat::Png).unwrap();
     assert_eq!(parse_mask(bytes.get_ref()).unwrap().1, [false, false, true]);
 }
+
+#[test]
+fn a_scan_that_saw_nothing_is_none() {
+    let ply = |points: &str| {
+        let header = "element vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header";
+        parse_scan(format!("ply\nformat ascii 1.0\n{header}\n{points}\n").as_bytes())
+    };
+    // What organised clouds have where nothing was seen keeps its place.
+    assert_eq!(ply("0 0 0\n0 0 1.5").unwrap(), [Point3::origin(), Point3::new(0.0, 0.0, 1.5)]);
+    let refused = ply("0 0 0\n-0 0 0").unwrap_err().to_string();
+    assert!(refused.contains("(0, 0, 0), found 2 points"), "{refused}");
+}

@@ -25,7 +25,9 @@ impl AlignedBuf {
     pub fn resize(&mut self, len: usize) {
         let lines = len.div_ceil(16);
         if lines > self.lines.len() {
-            // A new allocation rather than `resize`, which would copy values that nobody wants.
+            // A new allocation rather than `resize`, which would copy values that nobody wants. The buffer is empty until
+            // there is one: allocating may panic.
+            self.len = 0;
             self.lines = Vec::new();
             self.lines = vec![Line([0.0; 16]); lines];
         }
@@ -65,5 +67,15 @@ mod tests {
         buf.resize(1000);
         assert_eq!(buf.as_ptr(), at);
         assert!(AlignedBuf::default().is_empty());
+    }
+
+    #[test]
+    fn is_empty_when_there_is_no_memory_for_more() {
+        let mut buf = AlignedBuf::zeros(1000);
+        // More bytes than there are addresses.
+        let growing = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| buf.resize(usize::MAX)));
+        assert!(growing.is_err() && buf.is_empty());
+        buf.resize(1000);
+        assert!(buf.iter().all(|x| *x == 0.0));
     }
 }

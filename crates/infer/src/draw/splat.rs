@@ -7,6 +7,8 @@ use where2act_core::{ImageSize, Intrinsics};
 pub(crate) const NOTHING: u32 = u32::MAX;
 /// Share of the picture's side that the scan fills.
 const FILL: f32 = 0.8;
+/// Projections farther out than so many pixels are not drawn: those of points beside the camera have no bounds.
+const FARTHEST: f32 = 1e6;
 
 /// What is seen in a pixel.
 #[derive(Clone, Copy)]
@@ -29,7 +31,9 @@ pub(crate) fn splat(points: &[Point3<f32>], size: ImageSize) -> (Intrinsics, Vec
     let radius = (5.0 * per_point / std::f32::consts::PI).sqrt().clamp(1.0, 8.0);
     let reach = radius as i64;
     for (index, point) in points.iter().enumerate() {
-        let Some((x, y)) = intrinsics.project(point).filter(|(x, y)| x.is_finite() && y.is_finite()) else {
+        let Some((x, y)) =
+            intrinsics.project(point).filter(|(x, y)| x.abs() < FARTHEST && y.abs() < FARTHEST)
+        else {
             continue;
         };
         let (x, y) = (x.floor() as i64, y.floor() as i64);

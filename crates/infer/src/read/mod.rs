@@ -12,6 +12,7 @@ use std::io::Read;
 use std::path::Path;
 
 use nalgebra::Point3;
+use where2act_model::preprocess::is_measured;
 
 pub use npy::{NpyArray, parse_npy};
 pub use pcd::parse_pcd;
@@ -20,7 +21,8 @@ pub use ply::parse_ply;
 
 use crate::{Malformed, ReadError};
 
-/// Largest file that is read, in bytes: a 16-bit picture or a scan of the largest accepted size is smaller.
+/// Largest file that is read, in bytes. A 16-bit depth map or an 8-bit picture of [`MAX_PIXELS`] fits, and so do
+/// [`MAX_POINTS`] of three doubles each; with 16 bits a colour or more fields a point, files of fewer can be too large.
 pub const MAX_FILE_BYTES: u64 = 512 << 20;
 /// Largest number of points of a scan.
 pub const MAX_POINTS: usize = 20_000_000;
@@ -110,11 +112,11 @@ pub fn read_mask(path: &Path) -> Result<(where2act_core::ImageSize, Vec<bool>), 
     parse_mask(&read_bytes(path)?).map_err(malformed(path))
 }
 
-/// Reads the points of a ply, pcd or npy file, told apart by their first bytes. Points that are not finite keep
-/// their place, so that an index means the same here and in the file.
+/// Reads the points of a ply, pcd or npy file, told apart by their first bytes. Points that are not finite, or at (0, 0, 0),
+/// keep their place, so that an index means the same here and in the file.
 ///
 /// # Errors
-/// As [`read_bytes`], and if it is not a scan with at least one finite point.
+/// As [`read_bytes`], and if it is not a scan with at least one measured point.
 pub fn read_scan(path: &Path) -> Result<Vec<Point3<f32>>, ReadError> {
     parse_scan(&read_bytes(path)?).map_err(malformed(path))
 }
@@ -122,7 +124,7 @@ pub fn read_scan(path: &Path) -> Result<Vec<Point3<f32>>, ReadError> {
 /// As [`read_scan`], from bytes.
 ///
 /// # Errors
-/// If it is not a scan with at least one finite point.
+/// If it is not a scan with at least one measured point: finite, and not (0, 0, 0).
 pub fn parse_scan(bytes: &[u8]) -> Result<Vec<Point3<f32>>, Malformed> {
     let points = if bytes.starts_with(b"ply") {
         parse_ply(bytes)?
@@ -131,10 +133,10 @@ pub fn parse_scan(bytes: &[u8]) -> Result<Vec<Point3<f32>>, Malformed> {
     } else {
         parse_pcd(bytes)?
     };
-    if !points.iter().any(|p| p.iter().all(|x| x.is_finite())) {
+    if !points.iter().any(is_measured) {
         return Err(Malformed::new(
-            "at least one finite point",
-            format!("{} points, none finite", points.len()),
+            "at least one finite point that is not (0, 0, 0)",
+            format!("{} points, none of them such", points.len()),
         ));
     }
     Ok(points)

@@ -108,7 +108,8 @@ impl Gather<'_> {
                             }
                         }
                     }
-                    to = to.add(self.to.block);
+                    // After the last block of the last plane there may be no memory: wrapping.
+                    to = to.wrapping_add(self.to.block);
                 }
             }
         }

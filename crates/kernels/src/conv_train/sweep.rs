@@ -99,6 +99,10 @@ fn write(
 ) {
     let step = output.step;
     let columns = output.width.saturating_sub(phase[1]).div_ceil(step).min(layout.out_width());
+    // Of a narrow output a phase has no column, and its first would be outside of the buffer.
+    if columns == 0 {
+        return;
+    }
     for image in 0..portion.images {
         let plane = (portion.first_image + image) * output.channels + channel;
         for y in 0..portion.rows {

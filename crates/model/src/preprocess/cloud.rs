@@ -41,8 +41,15 @@ const ROBUST_SHARE: f32 = 0.95;
 /// Coordinates beyond this many metres are no measurements.
 const FURTHEST: f32 = 1e6;
 
+/// Whether a point of a scan was measured: it is finite, and it is not (0, 0, 0), which is what organised clouds have where
+/// nothing was seen.
+#[must_use]
+pub fn is_measured(point: &Point3<f32>) -> bool {
+    point.iter().all(|x| x.abs() < FURTHEST) && *point != Point3::origin()
+}
+
 impl CloudInput {
-    /// Prepares points in the optical frame, metres. Points that are not finite are skipped.
+    /// Prepares points in the optical frame, metres. Points that were not [measured](is_measured) are skipped.
     ///
     /// # Errors
     /// [`PreprocessError::NoPoints`], [`PreprocessError::OnePlace`].
@@ -52,15 +59,14 @@ impl CloudInput {
         config: &ModelConfig,
         rng: &mut ChaCha8Rng,
     ) -> Result<Self, PreprocessError> {
-        let finite: Vec<usize> =
-            (0..points.len()).filter(|i| points[*i].iter().all(|x| x.abs() < FURTHEST)).collect();
-        if finite.is_empty() {
+        let measured: Vec<usize> = (0..points.len()).filter(|i| is_measured(&points[*i])).collect();
+        if measured.is_empty() {
             return Err(PreprocessError::NoPoints);
         }
-        let most = config.preprocessing.scan_candidates.min(finite.len());
+        let most = config.preprocessing.scan_candidates.min(measured.len());
         // In random order: furthest point sampling starts at the first.
         let candidates: Vec<usize> =
-            index::sample(rng, finite.len(), most).into_iter().map(|i| finite[i]).collect();
+            index::sample(rng, measured.len(), most).into_iter().map(|i| measured[i]).collect();
         let sum = candidates
             .iter()
             .fold([0.0f64; 3], |s, &i| [0, 1, 2].map(|axis| s[axis] + f64::from(points[i][axis])));
@@ -298,6 +304,15 @@ mod tests {
             assert_eq!(input.source[input.nearest(&points[i..=i])[0]], i);
         }
         assert!(input.source.iter().all(|i| *i < 25));
+        // An organised cloud, most of which saw nothing: what it saw is all there is.
+        let seen = &points[..25];
+        let organised: Vec<_> = seen.iter().flat_map(|p| [*p, Point3::origin(), -Point3::origin()]).collect();
+        let prepare =
+            |points: &[_]| CloudInput::new(points, CloudScale::Trained, &config(100), &mut Seed(1).rng());
+        let (seen, organised) = (prepare(seen).unwrap(), prepare(&organised).unwrap());
+        assert_eq!(organised.source, seen.source.iter().map(|i| 3 * i).collect::<Vec<_>>());
+        assert_eq!(CloudInput { source: seen.source.clone(), ..organised }, seen);
+        assert_eq!(prepare(&[Point3::origin(); 9]), Err(PreprocessError::NoPoints));
         let none = CloudInput::new(&points[25..], CloudScale::Trained, &config(100), &mut Seed(1).rng());
         assert_eq!(none, Err(PreprocessError::NoPoints));
         let one = CloudInput::new(&points[..1], CloudScale::Trained, &config(100), &mut Seed(1).rng());

@@ -53,7 +53,7 @@ pub(super) fn run(prep: &ScenePrep, primitive: Primitive, policy: Policy, candid
 }
 
 /// The network's `count` best proposals at pixels of movable parts, best first, for each of its primitives; with
-/// `clearance`, of hands that have room.
+/// `clearance`, of hands that have room. None where the network sees none of these pixels.
 pub(crate) fn proposals(
     predictor: &Predictor,
     prep: &ScenePrep,
@@ -71,7 +71,12 @@ pub(crate) fn proposals(
         network_from_metres: Some(1.0),
         ..Options::default()
     };
-    let prediction = predictor.predict(&prep.view.observation(), &options)?;
+    let prediction = match predictor.predict(&prep.view.observation(), &options) {
+        Err(Error::Invalid { what: "region", .. }) => {
+            return Ok(predictor.config().primitives.iter().map(|_| Vec::new()).collect());
+        }
+        other => other?,
+    };
     let in_world = |direction: [f32; 3]| prep.view.camera.world_from_camera * Vector3::from(direction);
     let candidate = |p: &Proposal| sampler.at(p.pixel, in_world(p.approach), in_world(p.forward));
     let of_primitives = prediction.primitives.iter();
@@ -147,4 +152,33 @@ pub(super) fn informed(
         outcomes.extend(next.into_par_iter().map(one).collect::<Vec<_>>());
     }
     outcomes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use where2act_infer::Backend;
+    use where2act_model::{Modality, ModelConfig, Network, Weights};
+    use where2act_sim::collect::{Preparer, Recipe};
+
+    #[test]
+    fn a_scene_whose_movable_parts_the_network_does_not_see_has_no_proposals() {
+        let primitives = [Primitive::Pushing, Primitive::Pulling];
+        let config = ModelConfig::new(Modality::Cloud, &primitives).with_points(256);
+        let network = Network::new(&config, Seed(1), &burn::tensor::Device::flex());
+        let weights = Weights { network, sha256: String::new() };
+        let predictor = Predictor::from_weights(weights, Backend::Fast).unwrap();
+        let mut prep = Preparer::new(Recipe::default()).prepare(0).unwrap().unwrap();
+        let found = |prep: &ScenePrep| {
+            let sampler = Sampler::new(&prep.settled, &prep.view).unwrap();
+            let found = proposals(&predictor, prep, &sampler, 5, false, Seed(1)).unwrap();
+            found.iter().map(Vec::len).collect::<Vec<_>>()
+        };
+        assert_eq!(found(&prep), [5, 5]);
+        // All but one pixel of the parts that move, and not one at their edge, become the part that does not.
+        let mut moves: Vec<_> = prep.view.link.iter_mut().filter(|link| **link > 1).collect();
+        moves.remove(moves.len() / 2);
+        moves.into_iter().for_each(|link| *link = 1);
+        assert_eq!(found(&prep), [0, 0]);
+    }
 }

@@ -42,7 +42,8 @@ pub(crate) struct Args {
     /// Metres per unit of integer depth.
     #[arg(long, value_name = "S", default_value_t = 0.001, allow_negative_numbers = true)]
     pub(crate) depth_scale: f32,
-    /// Focal lengths and principal point of the picture or depth map, pixels.
+    /// Focal lengths and principal point of the picture or depth map, pixels from its corner: add 0.5 to CX and CY of OpenCV
+    /// or ROS, which count from the middle of the first pixel.
     #[arg(
         long,
         value_name = "FX,FY,CX,CY",

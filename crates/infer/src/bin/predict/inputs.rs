@@ -18,13 +18,18 @@ pub(crate) struct Input {
 /// All inputs: files as given, folders by their files in order of their names.
 pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
     let mut inputs = Vec::new();
+    let input = |path: PathBuf, kind| {
+        // With a depth map of its own even a 16-bit grey picture is a picture.
+        let own = args.depth.is_some() && kind == FileKind::Depth;
+        Input { path, kind: if own { FileKind::Picture } else { kind } }
+    };
     for given in &args.input {
         if given.is_dir() {
             let before = inputs.len();
             for path in files(given)? {
                 // A png that cannot be opened fails on its own when its turn comes.
                 if let Some(kind) = file_kind(&path).unwrap_or(Some(FileKind::Picture)) {
-                    inputs.push(Input { path, kind });
+                    inputs.push(input(path, kind));
                 }
             }
             if inputs.len() == before {
@@ -40,9 +45,7 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
                     given.display()
                 )
             })?;
-            // With a depth map of its own even a 16-bit grey picture is a picture.
-            let kind = if args.depth.is_some() && kind == FileKind::Depth { FileKind::Picture } else { kind };
-            inputs.push(Input { path: given.clone(), kind });
+            inputs.push(input(given.clone(), kind));
         }
     }
     for (flag, file) in [("--depth", &args.depth), ("--mask", &args.mask)] {

@@ -5,6 +5,7 @@ mod inputs;
 mod results;
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
@@ -53,10 +54,10 @@ fn run(args: &Args) -> Result<()> {
         };
         let scan = input.modality() == Modality::Cloud;
         let predictor = match predictors.entry(scan) {
-            std::collections::btree_map::Entry::Occupied(found) => found.into_mut(),
-            std::collections::btree_map::Entry::Vacant(empty) => empty.insert(load(args, input)?),
+            Entry::Occupied(found) => Ok(found.into_mut()),
+            Entry::Vacant(empty) => load(args, input).map(|loaded| empty.insert(loaded)),
         };
-        let predicted = predictor.predict_dense(&observation, &options);
+        let predicted = predictor.and_then(|predictor| Ok(predictor.predict_dense(&observation, &options)?));
         let mut output = match predicted.with_context(|| input.path.display().to_string()) {
             Ok(output) => output,
             Err(error) => {
