@@ -213,6 +213,22 @@ fn textures_are_found_beside_the_mesh_and_their_absence_is_no_error() {
 }
 
 #[test]
+fn colours_of_one_number_are_grey_and_halves_of_colours_are_left_out() {
+    let cabinet = Cabinet::new();
+    let colours = |mtl: &str| {
+        fs::write(cabinet.folder.path().join("a.mtl"), mtl).unwrap();
+        let object = cabinet.open().unwrap();
+        [0, 1].map(|i| object.materials[object.links[1].visuals[i].material].clone())
+    };
+    let [red, green] = colours("newmtl red\nKd 0.5\nKs 0.1\nKa 1\nKe 0\nnewmtl green\n Kd\t1  0 0 0.3\n");
+    assert_eq!((red.colour, green.colour), ([0.5; 3], [1.0, 0.0, 0.0]));
+    assert!((red.specular - 0.1).abs() < 1e-6);
+    let [red, green] = colours("newmtl red\nKa\nKd\nKs 0.1 0.2\nnewmtl green\nKd 0 1 0\nKs 1\nKd 0.5 0.5");
+    assert_eq!((red.colour, red.specular), ([0.7; 3], 0.0), "as without these lines");
+    assert_eq!((green.colour, green.specular), ([0.0, 1.0, 0.0], 1.0));
+}
+
+#[test]
 fn pieces_are_cached_and_a_broken_cache_is_no_error() {
     let cabinet = Cabinet::new();
     cabinet.open().unwrap();
