@@ -152,6 +152,10 @@ fn joints_without_limits_get_the_published_range() {
     let object = Cabinet::new().but("revolute", "continuous").open().unwrap();
     assert_eq!(object.joint(1).limits, (-10.0, 10.0));
     assert_eq!(object.joint(1).kind, JointKind::Continuous);
+    // Finite as f64, but not as f32.
+    let limits = "lower=\"-1.79769e308\" upper=\"1.79769e308\"";
+    let object = Cabinet::new().but("lower=\"0.5\" upper=\"2\"", limits).open().unwrap();
+    assert_eq!((object.joint(1).kind, object.joint(1).limits), (JointKind::Continuous, (-10.0, 10.0)));
 }
 
 #[test]
@@ -286,6 +290,16 @@ fn bad_trees_are_named_in_one_line() {
     new().but("lower=\"0.5\"", "lower=\"nan\"").fails("cabinet.urdf", &["\"hinge\"", "NaN"]);
     new().but("xyz=\"0 2 0\"", "xyz=\"0 0 0\"").fails("cabinet.urdf", &["\"hinge\"", "axis"]);
     new().but("xyz=\"0 0 1\"", "xyz=\"0 inf 1\"").fails("cabinet.urdf", &["\"weld\"", "finite"]);
+    // Finite as f64, but not as f32.
+    new().but("upper=\"2\"", "upper=\"1e300\"").fails("cabinet.urdf", &["\"hinge\"", "finite limits"]);
+    let wide = "lower=\"-3e38\" upper=\"3e38\"";
+    new().but("lower=\"0.5\" upper=\"2\"", wide).fails("cabinet.urdf", &["\"hinge\"", "finite limits"]);
+    let endless = "lower=\"-1e300\" upper=\"1e300\"";
+    let drawer = || new().but("\"revolute\"", "\"prismatic\"").but("lower=\"0.5\" upper=\"2\"", endless);
+    drawer().fails("cabinet.urdf", &["\"hinge\"", "finite limits"]);
+    new().but("xyz=\"0 2 0\"", "xyz=\"0 1e200 0\"").fails("cabinet.urdf", &["\"hinge\"", "axis", "length"]);
+    new().but("xyz=\"0 0 1\"", "xyz=\"0 0 1e300\"").fails("cabinet.urdf", &["\"weld\"", "finite"]);
+    new().but("0.4 0.6 0.8", "0.4 1e300 0.8").fails("cabinet.urdf", &["\"body\"", "positive"]);
     new().but("0.4 0.6 0.8", "0.4 -0.6 0.8").fails("cabinet.urdf", &["\"body\"", "positive"]);
     let nothing = format!("{}{}{}", link("a", ""), link("b", ""), joint("j", "continuous", "a", "b", ""));
     let mut empty = new();

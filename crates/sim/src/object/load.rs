@@ -143,7 +143,8 @@ impl<'a> Loader<'a> {
         for (index, part_from_link) in &part.members {
             let link = &self.robot.links[*index];
             let place = |origin| -> Result<Isometry3<f32>, ObjectError> {
-                Ok((part_from_link * urdf::pose(self.urdf, &format!("link {:?}", link.name), origin)?).cast())
+                let owner = format!("link {:?}", link.name);
+                Ok(urdf::pose(self.urdf, &owner, part_from_link, origin)?.cast())
             };
             for visual in &link.visual {
                 let pose = place(&visual.origin)?;
@@ -175,8 +176,8 @@ impl<'a> Loader<'a> {
 
     /// The meshes of a geometry in its own frame, not yet scaled.
     fn meshes(&self, link: &str, geometry: &Geometry) -> Result<Vec<ScaledMesh>, ObjectError> {
-        let check = |expected, found: &[f64], fine: fn(f64) -> bool| {
-            if found.iter().all(|&x| x.is_finite() && fine(x)) {
+        let check = |expected, found: &[f64], fine: fn(f32) -> bool| {
+            if found.iter().map(|&x| x as f32).all(|x| x.is_finite() && fine(x)) {
                 return Ok(());
             }
             let (path, owner) = (self.urdf.to_owned(), format!("link {link:?}"));
