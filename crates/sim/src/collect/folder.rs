@@ -137,9 +137,9 @@ impl Collector {
     /// after the scenes under way, without their shard.
     ///
     /// # Errors
-    /// [`CollectError::Interrupted`] after a stop; what the file system says; what an object's file says if it cannot be loaded
-    /// and no scene was made of any other before, else its scenes are left out. Finished shards stay; if there are none, nothing
-    /// does.
+    /// [`CollectError::Interrupted`] after a stop; what the file system says; what is wrong with an object that cannot be
+    /// loaded, if no other of the whole set can be: else its scenes are left out, whatever part this run makes. Finished
+    /// shards stay; if there are none, nothing does.
     pub fn run(
         &self,
         stop: &AtomicBool,
@@ -186,6 +186,7 @@ impl Collector {
                 Err(_) => missing.push(shard),
             }
         }
+        let mut any_loads = false;
         for shard in missing {
             let records = self.manifest.scenes_of(shard).into_par_iter().map(|index| {
                 if stop.load(Ordering::Relaxed) {
@@ -219,16 +220,17 @@ impl Collector {
             let (mut made, mut unloadable) = (Vec::new(), Vec::new());
             for (index, record) in self.manifest.scenes_of(shard).zip(records) {
                 match record {
-                    Ok(record) => made.extend(record),
+                    Ok(record) => {
+                        any_loads = true;
+                        made.extend(record);
+                    }
                     Err(error) => unloadable.push((index, error)),
                 }
             }
-            // An object that cannot be loaded costs no other its scenes, if there is any other.
-            let mut scenes = 0;
-            with(&mut |s| scenes = s.scenes);
-            if scenes == 0
-                && let Some((_, error)) = unloadable.pop()
-            {
+            // An object that cannot be loaded costs no other its scenes, if there is any other. Which scenes a shard
+            // or a part happens to hold must not matter.
+            any_loads = any_loads || self.preparer.any_loads();
+            if !any_loads && let Some((_, error)) = unloadable.pop() {
                 return Err(error.into());
             }
             for (index, error) in unloadable {
