@@ -380,10 +380,13 @@ fn corners(piece: &ConvexPiece) -> Vec<[f32; 3]> {
     corners
 }
 
-/// Same links, joints, kinematics, pieces and triangles; angles go through Euler angles, so nearly the same poses.
+/// Same links by name, joints, kinematics, pieces and triangles; angles go through Euler angles, so nearly the same
+/// poses.
 fn assert_same(a: &Object, b: &Object) {
     assert_eq!(a.links.len(), b.links.len());
-    for (x, y) in a.links.iter().zip(&b.links) {
+    let named = |name: &str| b.links.iter().position(|l| l.name == name).expect(name);
+    let of_b: Vec<usize> = a.links.iter().map(|l| named(&l.name)).collect();
+    for (x, y) in a.links.iter().zip(of_b.iter().map(|&i| &b.links[i])) {
         assert_eq!((&x.name, &x.welded, x.pieces.len()), (&y.name, &y.welded, y.pieces.len()));
         for (p, q) in x.pieces.iter().zip(&y.pieces) {
             assert_eq!(corners(p), corners(q));
@@ -391,7 +394,12 @@ fn assert_same(a: &Object, b: &Object) {
     }
     for fraction in [0.0, 0.3, 1.0] {
         let q: Vec<f32> = a.movable().map(|l| a.joint(l).limits.0 + fraction * a.joint(l).range()).collect();
-        for (x, y) in a.world_from_links(&q).iter().zip(b.world_from_links(&q)) {
+        let mut q_of_b = q.clone();
+        for link in a.movable() {
+            q_of_b[of_b[link] - 1] = q[link - 1];
+        }
+        let poses_of_b = b.world_from_links(&q_of_b);
+        for (x, y) in a.world_from_links(&q).iter().zip(of_b.iter().map(|&i| poses_of_b[i])) {
             assert!((x.to_homogeneous() - y.to_homogeneous()).amax() < 1e-5, "{x} {y}");
         }
     }
@@ -400,7 +408,8 @@ fn assert_same(a: &Object, b: &Object) {
 
 #[test]
 fn generated_objects_survive_their_export() {
-    for spec in ["Microwave:1", "StorageFurniture:2", "Faucet:3", "Door:4"] {
+    // The links of Door:5 come back in another order.
+    for spec in ["Microwave:1", "StorageFurniture:2", "Faucet:3", "Door:4", "Door:5"] {
         let object = object::open(spec).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("object");

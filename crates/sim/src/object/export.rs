@@ -17,7 +17,8 @@ const EFFORT_AND_VELOCITY: &str = "effort=\"100\" velocity=\"10\"";
 
 /// Writes `folder/mobility.urdf` with its meshes (OBJ), materials, textures, part names and category. The folder
 /// must be new or empty, and appears whole or not at all. Loading it gives the same links, joints and convex
-/// pieces.
+/// pieces by name. Their order may differ: the loader counts links level by level, and generators count a handle
+/// right after its door.
 ///
 /// # Errors
 /// Whatever the file system says.
