@@ -348,6 +348,23 @@ fn unknown_names_are_explained() {
 }
 
 #[test]
+fn a_folder_that_does_not_say_which_urdf_counts_fails_the_check() {
+    let cabinet = Cabinet::new();
+    cabinet.open().unwrap();
+    let set = cabinet.folder.path();
+    fs::copy(cabinet.path(), set.join("other.urdf")).unwrap();
+    let inner = set.join("Safe/1");
+    fs::create_dir_all(&inner).unwrap();
+    fs::write(inner.join("safe.urdf"), cabinet.urdf.replace("a.obj", "../../a.obj")).unwrap();
+    let output = objects(&["check", "--quiet", set.to_str().unwrap()]);
+    let text = String::from_utf8_lossy(&output.stdout);
+    let lines: Vec<&str> = text.lines().skip(1).collect();
+    assert!(output.status.code() == Some(1) && lines.len() == 2, "{text}");
+    assert!(lines[0].contains("exactly one .urdf file, found 2"), "{text}");
+    assert!(lines[1].starts_with("safe ") && lines[1].ends_with("ok"), "{text}");
+}
+
+#[test]
 fn a_picture_that_cannot_be_written_is_an_error() {
     let cabinet = Cabinet::new();
     cabinet.open().unwrap();
