@@ -217,6 +217,21 @@ fn textures_are_found_beside_the_mesh_and_their_absence_is_no_error() {
 }
 
 #[test]
+fn a_texture_that_the_urdf_names_twice_is_read_once() {
+    let cabinet = Cabinet::new();
+    let picture = image::RgbImage::from_pixel(2, 3, image::Rgb([9, 8, 7]));
+    picture.save(cabinet.folder.path().join("t.png")).unwrap();
+    let material = "<material name=\"\"><texture filename=\"t.png\"/></material>";
+    let cube = "<visual><geometry><box size=\"0.4 0.6 0.8\"/></geometry>";
+    let twice = format!("{cube}{material}</visual>{}{material}", cube.replace("0.4", "0.5"));
+    let object = cabinet.but(cube, &twice).open().unwrap();
+    let [one, other] = [0, 1].map(|i| object.links[0].visuals[i].material);
+    let texture = |i: usize| object.materials[i].texture.as_ref().expect("a texture");
+    assert!(std::sync::Arc::ptr_eq(texture(one), texture(other)));
+    assert_ne!(one, other, "random looks paint each by itself");
+}
+
+#[test]
 fn colours_of_one_number_are_grey_and_halves_of_colours_are_left_out() {
     let cabinet = Cabinet::new();
     let colours = |mtl: &str| {

@@ -26,19 +26,19 @@ pub(super) struct MeshFile {
     pub(super) parts: Vec<(Mesh, Option<Material>)>,
 }
 
-/// Textures by path, so that the meshes of an object share them. `None` is a texture that could not be read.
+/// Textures by path, so that all of an object shares them. `None` is a texture that could not be read.
 #[derive(Default)]
 pub(super) struct Textures(Mutex<HashMap<PathBuf, Option<Arc<RgbImage>>>>);
 
 impl Textures {
-    fn get(&self, path: &Path) -> Option<Arc<RgbImage>> {
+    pub(super) fn get(&self, path: &Path) -> Option<Arc<RgbImage>> {
         let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         known.entry(path.to_owned()).or_insert_with(|| read_texture(path)).clone()
     }
 }
 
 /// Reads a texture, or says in the log why the colour alone will be used.
-pub(super) fn read_texture(path: &Path) -> Option<Arc<RgbImage>> {
+fn read_texture(path: &Path) -> Option<Arc<RgbImage>> {
     let decode = || -> Result<RgbImage, image::ImageError> {
         let mut reader = ImageReader::open(path)?.with_guessed_format()?;
         let mut limits = Limits::default();
