@@ -438,6 +438,24 @@ fn assert_same(a: &Object, b: &Object) {
     assert_eq!(a.triangle_count(), b.triangle_count());
 }
 
+#[cfg(unix)]
+#[test]
+fn the_umask_decides_who_may_read_what_is_written() {
+    use std::os::unix::fs::PermissionsExt;
+    for (umask, [file, folder]) in [("027", [0o640, 0o750]), ("002", [0o664, 0o775])] {
+        let cabinet = Cabinet::new();
+        cabinet.open().unwrap();
+        let script = "umask $1; \"$0\" render cabinet.urdf --size 16 --out a.png; \"$0\" export cabinet.urdf --out new";
+        let mut shell = Command::new("bash");
+        shell.args(["-c", script, env!("CARGO_BIN_EXE_objects"), umask]).current_dir(cabinet.folder.path());
+        assert!(shell.env("WHERE2ACT_CACHE", "").status().unwrap().success());
+        let mode =
+            |path: &str| fs::metadata(cabinet.folder.path().join(path)).unwrap().permissions().mode() & 0o777;
+        assert_eq!([mode("a.png"), mode("new")], [file, folder], "umask {umask}");
+        assert_eq!([mode("new/mobility.urdf"), mode("new/textured_objs")], [file, folder], "umask {umask}");
+    }
+}
+
 #[test]
 fn generated_objects_survive_their_export() {
     // The links of Door:5 come back in another order.
