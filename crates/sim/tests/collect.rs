@@ -217,7 +217,7 @@ fn what_cannot_work_is_refused_in_one_line() {
     assert!(run(&out, &["--shard", "2/3"]).status.success());
     let before = contents(&out);
     refused(&run(&out, &[]), &["data", "--resume"]);
-    refused(&run(&out, &["--resume", "--guided", "0.25"]), &["manifest.json", "guided", "0.5", "0.25"]);
+    refused(&run(&out, &["--resume", "--guided", "0.25"]), &["manifest.json", "recipe.guided 0.5", "0.25"]);
     assert!(contents(&out) == before, "refusals write nothing");
 
     let manifest = out.join("manifest.json");

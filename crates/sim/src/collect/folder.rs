@@ -5,11 +5,11 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
-use serde_json::Value;
 use where2act_core::shard::{FORMAT, Manifest, SceneRecord, Shard, ShardError, list_shards, write_shard};
 
 use crate::object::ObjectError;
 
+use super::compare::refuse_other;
 use super::{CollectError, Preparer, Recipe, Tally, collect_scene};
 
 /// Share of a data set that one machine makes: shards k with k % of == index.
@@ -241,34 +241,4 @@ impl Collector {
         }
         Ok(state.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner))
     }
-}
-
-/// Compares manifests and names the first difference.
-fn refuse_other(path: &Path, found: &Manifest, expected: &Manifest) -> Result<(), CollectError> {
-    let flat = |m: &Manifest| {
-        let mut fields = vec![
-            ("scenes".to_owned(), Value::from(m.scenes)),
-            ("scenes per shard".to_owned(), Value::from(m.scenes_per_shard)),
-            ("version".to_owned(), Value::from(m.version.as_str())),
-        ];
-        match &m.recipe {
-            Value::Object(recipe) => fields.extend(recipe.iter().map(|(k, v)| (k.clone(), v.clone()))),
-            other => fields.push(("recipe".to_owned(), other.clone())),
-        }
-        fields
-    };
-    let (ours, theirs) = (flat(expected), flat(found));
-    for (field, expected) in &ours {
-        let found = theirs.iter().find(|(name, _)| name == field).map_or(&Value::Null, |(_, value)| value);
-        if found != expected {
-            let (found, expected) = (found.to_string(), expected.to_string());
-            return Err(CollectError::OtherRecipe {
-                path: path.to_owned(),
-                field: field.clone(),
-                found,
-                expected,
-            });
-        }
-    }
-    Ok(())
 }

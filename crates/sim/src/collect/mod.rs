@@ -1,5 +1,6 @@
 //! Collecting data: scenes and their trials, a recipe at a time.
 
+mod compare;
 mod folder;
 mod prepare;
 mod recipe;
