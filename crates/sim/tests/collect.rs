@@ -198,6 +198,7 @@ fn an_object_that_cannot_be_loaded_costs_no_other_its_scenes() {
         let output = collect(name, more);
         let told = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success() && told.matches("left out").count() == left_out, "{told}");
+        assert!(!told.contains('\x1b'), "colour where nobody sees it: {told}");
         let shards = list_shards(&folder.path().join(name)).unwrap();
         shards.iter().map(|path| Shard::open(path).unwrap().scenes().len()).collect::<Vec<_>>()
     };
