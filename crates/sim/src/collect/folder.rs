@@ -86,8 +86,8 @@ pub struct Collected {
 }
 
 impl Collector {
-    /// Opens or creates the folder and its manifest. A folder that holds a data set is refused without `resume`, and
-    /// always if its recipe differs.
+    /// Opens or creates the folder and its manifest. A folder that holds a data set is refused if its recipe differs, and
+    /// without `resume` unless only a part is to be made: the others may have been begun in the same folder.
     ///
     /// # Errors
     /// As said, and whatever the file system reports.
