@@ -1,5 +1,6 @@
 //! A data set on disk: which shards there are, which are missing, and making those.
 
+use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,12 +19,12 @@ pub struct Part {
     /// Number of the share.
     pub index: u64,
     /// Number of shares.
-    pub of: u64,
+    pub of: NonZeroU64,
 }
 
 impl Part {
     /// Everything.
-    pub const WHOLE: Part = Part { index: 0, of: 1 };
+    pub const WHOLE: Part = Part { index: 0, of: NonZeroU64::MIN };
 }
 
 impl std::str::FromStr for Part {
@@ -34,7 +35,7 @@ impl std::str::FromStr for Part {
         let part = text
             .split_once('/')
             .and_then(|(i, n)| Some(Part { index: i.parse().ok()?, of: n.parse().ok()? }));
-        part.filter(|p| p.index < p.of)
+        part.filter(|p| p.index < p.of.get())
             .ok_or_else(|| format!("{text:?}, expected I/N with I < N, such as 0/2"))
     }
 }
@@ -129,7 +130,7 @@ impl Collector {
     }
 
     fn shards(&self) -> impl Iterator<Item = u64> + '_ {
-        (0..self.manifest.shards()).filter(|k| k % self.part.of == self.part.index)
+        (0..self.manifest.shards()).filter(|k| *k % self.part.of == self.part.index)
     }
 
     /// Makes the missing shards. `progress` hears of every finished scene: how
