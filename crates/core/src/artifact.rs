@@ -5,7 +5,6 @@ use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use sha2::{Digest, Sha256};
-use tempfile::NamedTempFile;
 
 /// Writes `path` through a temporary file in the same folder that is synced and renamed when `write` has
 /// succeeded. Missing folders are created. When anything fails, what was at `path` before is still there.
@@ -18,27 +17,19 @@ pub fn write_whole(
 ) -> io::Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     fs::create_dir_all(folder)?;
-    let mut temporary = NamedTempFile::with_prefix_in(".partial-", folder)?;
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".partial-");
+    // Temporary files are private unless told otherwise; the umask makes of this what it makes of any new file.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut temporary = builder.tempfile_in(folder)?;
     {
         let mut buffered = BufWriter::new(temporary.as_file_mut());
         write(&mut buffered)?;
         buffered.flush()?;
     }
     temporary.as_file().sync_all()?;
-    make_world_readable(temporary.as_file())?;
     temporary.persist(path).map_err(|e| e.error)?;
-    Ok(())
-}
-
-/// Temporary files are private; finished ones follow the usual permissions of a new file.
-#[cfg(unix)]
-fn make_world_readable(file: &fs::File) -> io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    file.set_permissions(fs::Permissions::from_mode(0o644))
-}
-
-#[cfg(not(unix))]
-fn make_world_readable(_: &fs::File) -> io::Result<()> {
     Ok(())
 }
 

@@ -107,8 +107,6 @@ impl Camera {
     pub const PUBLISHED_FOV: f32 = 35.0 * std::f32::consts::PI / 180.0;
     /// Published near plane in metres (supplement, section B).
     pub const NEAR: f32 = 0.1;
-    /// Published far plane in metres (supplement, section B).
-    pub const FAR: f32 = 100.0;
     /// Published distance to the object's centre in metres.
     pub const PUBLISHED_DISTANCE: f32 = 5.0;
 

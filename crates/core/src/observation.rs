@@ -30,7 +30,7 @@ pub enum Observation {
 
 impl Observation {
     /// Depth readings of an image that lie on the object, with their points in the optical frame. Empty for an
-    /// image without depth or intrinsics, and for a cloud.
+    /// image without depth or intrinsics, and for a cloud; what a buffer is too short for was not seen.
     #[must_use]
     pub fn foreground_points(&self) -> Vec<(Pixel, Point3<f32>)> {
         let Self::Image { size, depth: Some(depth), intrinsics: Some(intrinsics), mask, .. } = self else {
@@ -41,8 +41,8 @@ impl Observation {
             for u in 0..size.width as u32 {
                 let pixel = Pixel { u, v };
                 let i = size.index(pixel);
-                let z = depth[i];
-                if z > 0.0 && z.is_finite() && mask.as_ref().is_none_or(|m| m[i]) {
+                let Some(&z) = depth.get(i) else { return points };
+                if z > 0.0 && z.is_finite() && mask.as_ref().is_none_or(|m| m.get(i) == Some(&true)) {
                     points.push((pixel, intrinsics.pixel_to_point(pixel, z)));
                 }
             }
@@ -55,17 +55,26 @@ impl Observation {
 mod tests {
     use super::*;
 
+    fn points(depth: &[f32], mask: &[bool]) -> Vec<(Pixel, Point3<f32>)> {
+        let observation = Observation::Image {
+            size: ImageSize { width: 2, height: 2 },
+            rgb: None,
+            depth: Some(depth.to_vec()),
+            intrinsics: Some(Intrinsics { fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 }),
+            mask: Some(mask.to_vec()),
+        };
+        observation.foreground_points()
+    }
+
     #[test]
     fn only_seen_and_masked_pixels_become_points() {
-        let size = ImageSize { width: 2, height: 2 };
-        let observation = Observation::Image {
-            size,
-            rgb: None,
-            depth: Some(vec![1.0, 0.0, f32::NAN, 2.0]),
-            intrinsics: Some(Intrinsics { fx: 1.0, fy: 1.0, cx: 1.0, cy: 1.0 }),
-            mask: Some(vec![false, true, true, true]),
-        };
-        let points = observation.foreground_points();
+        let points = points(&[1.0, 0.0, f32::NAN, 2.0], &[false, true, true, true]);
         assert_eq!(points, vec![(Pixel { u: 1, v: 1 }, Point3::new(1.0, 1.0, 2.0))]);
+    }
+
+    #[test]
+    fn short_buffers_give_fewer_points() {
+        assert_eq!(points(&[1.0; 3], &[true; 4]).len(), 3);
+        assert_eq!(points(&[1.0; 4], &[true; 2]).len(), 2);
     }
 }

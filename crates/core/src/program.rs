@@ -1,6 +1,7 @@
 //! What all programs do alike: arguments, log, threads, Ctrl-C, progress, and errors in one line.
 
 use std::error::Error;
+use std::io::IsTerminal;
 use std::ops::Deref;
 use std::process::{ExitCode, Termination};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -29,7 +30,7 @@ pub enum ProgramError {
 }
 
 /// Runs the program `name` on its command line: the result of `body`, or one line on stderr and exit code 2 for
-/// whatever is wrong. Logs go to stderr, from the level `log` on unless `RUST_LOG` says otherwise.
+/// whatever is wrong. Logs go to stderr, from the level `log` on unless `RUST_LOG` says otherwise; in colour on a terminal.
 pub fn run<A: Parser, T: Termination, E: AsRef<dyn Error>>(
     name: &str,
     log: &str,
@@ -46,7 +47,13 @@ pub fn run<A: Parser, T: Termination, E: AsRef<dyn Error>>(
         Err(error) => error.exit(),
     };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(log));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+    let no_colour = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal() && !no_colour)
+        .without_time()
+        .init();
     match body(arguments) {
         Ok(result) => result.report(),
         Err(error) => refuse(&one_line(error.as_ref())),

@@ -184,21 +184,31 @@ fn an_object_that_cannot_be_loaded_costs_no_other_its_scenes() {
     let torn = objects.join("Switch").join("torn");
     fs::create_dir_all(&torn).unwrap();
     fs::write(torn.join("mobility.urdf"), "<robot").unwrap();
-    let collect = |name: &str| {
+    let collect = |name: &str, more: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_collect"));
-        command.args(["--scenes", "4", "--trials", "3", "--quiet", "--objects"]).arg(&objects);
+        command.args(["--scenes", "4", "--trials", "3", "--quiet", "--objects"]).arg(&objects).args(more);
         command.arg("--out").arg(folder.path().join(name)).output().unwrap()
     };
-    refused(&collect("nothing"), &["torn", "mobility.urdf"]);
+    refused(&collect("nothing", &[]), &["torn", "mobility.urdf"]);
     assert!(!folder.path().join("nothing").exists());
 
     let object = object::open("Switch:3").unwrap();
     object::export(&object, &objects.join("Switch").join("whole")).unwrap();
-    let output = collect("half");
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && told.matches("left out").count() == 2, "{told}");
-    let shards = list_shards(&folder.path().join("half")).unwrap();
-    assert_eq!(Shard::open(&shards[0]).unwrap().scenes().len(), 2);
+    let half = |name: &str, more: &[&str], left_out: usize| {
+        let output = collect(name, more);
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && told.matches("left out").count() == left_out, "{told}");
+        assert!(!told.contains('\x1b'), "colour where nobody sees it: {told}");
+        let shards = list_shards(&folder.path().join(name)).unwrap();
+        shards.iter().map(|path| Shard::open(path).unwrap().scenes().len()).collect::<Vec<_>>()
+    };
+    assert_eq!(half("half", &[], 2), [2]);
+    // The torn object begins every pair of scenes: half of the shards, all of the first of two parts, hold no other.
+    let singly = ["--scenes-per-shard", "1"];
+    assert_eq!(half("singly", &singly, 2), [0, 1, 0, 1]);
+    assert_eq!(half("parts", &[&singly[..], &["--shard", "0/2"]].concat(), 2), [0, 0]);
+    assert_eq!(half("parts", &[&singly[..], &["--shard", "1/2"]].concat(), 0), [0, 1, 0, 1]);
+    assert!(contents(&folder.path().join("parts")) == contents(&folder.path().join("singly")));
 }
 
 #[test]
@@ -208,7 +218,7 @@ fn what_cannot_work_is_refused_in_one_line() {
     assert!(run(&out, &["--shard", "2/3"]).status.success());
     let before = contents(&out);
     refused(&run(&out, &[]), &["data", "--resume"]);
-    refused(&run(&out, &["--resume", "--guided", "0.25"]), &["manifest.json", "guided", "0.5", "0.25"]);
+    refused(&run(&out, &["--resume", "--guided", "0.25"]), &["manifest.json", "recipe.guided 0.5", "0.25"]);
     assert!(contents(&out) == before, "refusals write nothing");
 
     let manifest = out.join("manifest.json");

@@ -6,8 +6,10 @@
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
-use where2act_core::{GRIPPER, Grasp, Primitive};
-use where2act_sim::{Agreement, Attempt, Batch, Mode, Moment, Observer, Outcome, Scene, object};
+use where2act_core::{GRIPPER, Grasp, Invalid, Primitive};
+use where2act_sim::{
+    Agreement, Attempt, Batch, Mode, Moment, Observer, Outcome, Scene, SettledScene, object,
+};
 
 const FIXTURE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/fixtures/sapien_cabinet");
 
@@ -54,11 +56,33 @@ fn outcomes_do_not_depend_on_threads_or_repetition() {
     assert_eq!(once, run(1));
 }
 
-#[test]
-fn a_grip_on_the_drawers_handle_holds() {
+/// The cabinet at rest, and the index of its drawer.
+fn closed() -> (SettledScene, usize) {
     let cabinet = Arc::new(object::open(&format!("{FIXTURE}/cabinet.urdf")).unwrap());
     let drawer = cabinet.find_link("drawer").unwrap();
-    let scene = Scene::new(Arc::clone(&cabinet), cabinet.closed()).unwrap().settle().unwrap();
+    let q = cabinet.closed();
+    (Scene::new(cabinet, q).unwrap().settle().unwrap(), drawer)
+}
+
+#[test]
+fn an_approach_from_behind_is_refused_and_seen() {
+    let (scene, link) = closed();
+    let grasp_in_world = Grasp::new(Point3::new(0.37, 0.03, -0.25), Vector3::x(), Vector3::y());
+    let normal_in_world = Some(Vector3::x());
+    let attempt = Attempt { primitive: Primitive::Pushing, link, grasp_in_world, normal_in_world };
+    let mut moments = Vec::new();
+    let mut look = |moment: &Moment| moments.push(moment.clone());
+    let seen = scene.attempt(&attempt, Mode::Fast, Some(Observer { every: 1, look: &mut look }));
+    assert_eq!(seen.invalid, Some(Invalid::ApproachFromBehind));
+    assert_eq!(seen, scene.attempt(&attempt, Mode::Fast, None));
+    let [start] = &moments[..] else { panic!("{} moments", moments.len()) };
+    let expected = attempt.primitive.motion(&grasp_in_world).start;
+    assert!((start.world_from_hand.to_homogeneous() - expected.to_homogeneous()).amax() < 1e-5);
+}
+
+#[test]
+fn a_grip_on_the_drawers_handle_holds() {
+    let (scene, drawer) = closed();
     // The handle's front is at x = 0.37; the bar is 2 cm high and 20 cm wide.
     let grasp = Grasp::new(Point3::new(0.37, 0.03, -0.25), -Vector3::x(), Vector3::y());
     let mut moments = Vec::new();

@@ -16,7 +16,7 @@
 //! | `outcome` | f32 | `[trials, 5]`: q before, q after, motion of the touched point in the camera frame |
 //!
 //! The file's metadata holds one entry, `where2act`: JSON with `format` and `scenes`, a list of [`SceneInfo`]. A scene
-//! takes 753 kB and 73 bytes a trial.
+//! takes 753 kB and 65 bytes a trial.
 
 mod manifest;
 mod read;

@@ -76,3 +76,23 @@ fn damage_and_other_versions_are_named() {
     fs::write(&path, b"").unwrap();
     assert!(Shard::open(&path).is_err());
 }
+
+#[test]
+fn what_could_not_be_read_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shard");
+    let refuses = |word: &str, change: fn(&mut SceneRecord)| {
+        let mut scene = scene(7, 3);
+        change(&mut scene);
+        let error = write_shard(&path, &[self::scene(1, 3), scene]).expect_err(word).to_string();
+        assert!(error.contains("scene 7") && error.contains(word), "{error}");
+        assert!(!path.exists());
+    };
+    refuses("pixels", |s| s.link.truncate(10));
+    refuses("NaN", |s| s.info.q[0] = f32::NAN);
+    refuses("inf", |s| s.info.freedoms[0].room[1] = f32::INFINITY);
+    refuses("NaN", |s| s.info.freedoms[0].axis = Unit::new_unchecked(Vector3::repeat(f32::NAN)));
+    refuses("inf", |s| s.info.freedoms[0].point.y = f32::INFINITY);
+    refuses("trial 2", |s| s.trials[2].pixel.v = 448);
+    refuses("trial 1", |s| s.trials[1].grasp_in_camera.point.x = f32::NAN);
+}

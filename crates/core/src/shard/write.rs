@@ -7,22 +7,21 @@ use std::path::Path;
 use safetensors::tensor::{Dtype, TensorView};
 
 use super::{
-    DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Header, METADATA_KEY, RGB_PIXELS, RGB_SIDE, SceneRecord, ShardError,
+    DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Freedom, Header, METADATA_KEY, RGB_PIXELS, RGB_SIDE, SceneInfo,
+    SceneRecord, ShardError,
 };
-use crate::write_whole;
+use crate::{Pixel, write_whole};
 
 /// Writes scenes as one shard, whole or not at all.
 ///
 /// # Errors
-/// [`ShardError::Io`]; [`ShardError::Damaged`] if a buffer of a scene has the wrong size.
+/// [`ShardError::Io`]; [`ShardError::Damaged`] for a scene that [`Shard::open`](super::Shard::open) would refuse: a
+/// buffer of the wrong size, a number that is not finite, a pixel outside of the picture.
 pub fn write_shard(path: &Path, scenes: &[SceneRecord]) -> Result<(), ShardError> {
     let damaged = |why: String| ShardError::Damaged { path: path.to_owned(), why };
     let mut columns = Columns::default();
     for scene in scenes {
-        let sizes = (scene.rgb.len(), scene.depth.len(), scene.link.len());
-        if sizes != (RGB_PIXELS, DEPTH_PIXELS, DEPTH_PIXELS) {
-            return Err(damaged(format!("scene {}: buffers of {sizes:?} pixels", scene.info.index)));
-        }
+        check(scene).map_err(|why| damaged(format!("scene {}: {why}", scene.info.index)))?;
         columns.push(scene);
     }
     let header = Header { format: FORMAT, scenes: scenes.iter().map(|s| s.info.clone()).collect() };
@@ -47,6 +46,34 @@ pub fn write_shard(path: &Path, scenes: &[SceneRecord]) -> Result<(), ShardError
     let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| damaged(e.to_string()))?;
     write_whole(path, |w| w.write_all(&bytes))
         .map_err(|source| ShardError::Io { path: path.to_owned(), source })
+}
+
+/// What could be written but not be read: JSON has no word for numbers that are not finite.
+fn check(scene: &SceneRecord) -> Result<(), String> {
+    let sizes = (scene.rgb.len(), scene.depth.len(), scene.link.len());
+    if sizes != (RGB_PIXELS, DEPTH_PIXELS, DEPTH_PIXELS) {
+        return Err(format!("buffers of {sizes:?} pixels"));
+    }
+    let finite = |numbers: &[f32]| numbers.iter().all(|x| x.is_finite());
+    let SceneInfo { q, freedoms, .. } = &scene.info;
+    if !finite(q) {
+        return Err(format!("joint positions {q:?}, expected finite numbers"));
+    }
+    let known =
+        |f: &Freedom| finite(f.axis.as_slice()) && finite(f.point.coords.as_slice()) && finite(&f.room);
+    if let Some(freedom) = freedoms.iter().find(|f| !known(f)) {
+        return Err(format!("{freedom:?}, expected finite numbers"));
+    }
+    for (n, trial) in scene.trials.iter().enumerate() {
+        let (Pixel { u, v }, grasp) = (trial.pixel, &trial.grasp_in_camera);
+        if u.max(v) as usize >= DEPTH_SIDE {
+            return Err(format!("trial {n}: pixel {u},{v}, expected numbers below {DEPTH_SIDE}"));
+        }
+        if ![grasp.point.coords, grasp.approach(), grasp.forward()].iter().all(|v| finite(v.as_slice())) {
+            return Err(format!("trial {n}: {grasp:?}, expected finite numbers"));
+        }
+    }
+    Ok(())
 }
 
 /// A shard's tensors as bytes.

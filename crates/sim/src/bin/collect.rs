@@ -28,7 +28,7 @@ Examples:
   collect --scenes 10000 --trials 48 --out data/big --shard 0/2     (and 1/2 on another machine)"
 )]
 struct Cli {
-    /// `procedural`, or a folder with `<Category>/<id>/mobility.urdf`.
+    /// `procedural`, or a folder with `<Category>/<id>/mobility.urdf` (or one other .urdf file).
     #[arg(long, default_value = "procedural", value_name = "procedural|DIR")]
     objects: String,
     /// Categories to draw from [default: the ten training categories; for a folder, all in it].

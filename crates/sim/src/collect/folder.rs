@@ -1,15 +1,16 @@
 //! A data set on disk: which shards there are, which are missing, and making those.
 
+use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
-use serde_json::Value;
 use where2act_core::shard::{FORMAT, Manifest, SceneRecord, Shard, ShardError, list_shards, write_shard};
 
 use crate::object::ObjectError;
 
+use super::compare::refuse_other;
 use super::{CollectError, Preparer, Recipe, Tally, collect_scene};
 
 /// Share of a data set that one machine makes: shards k with k % of == index.
@@ -18,12 +19,12 @@ pub struct Part {
     /// Number of the share.
     pub index: u64,
     /// Number of shares.
-    pub of: u64,
+    pub of: NonZeroU64,
 }
 
 impl Part {
     /// Everything.
-    pub const WHOLE: Part = Part { index: 0, of: 1 };
+    pub const WHOLE: Part = Part { index: 0, of: NonZeroU64::MIN };
 }
 
 impl std::str::FromStr for Part {
@@ -34,7 +35,7 @@ impl std::str::FromStr for Part {
         let part = text
             .split_once('/')
             .and_then(|(i, n)| Some(Part { index: i.parse().ok()?, of: n.parse().ok()? }));
-        part.filter(|p| p.index < p.of)
+        part.filter(|p| p.index < p.of.get())
             .ok_or_else(|| format!("{text:?}, expected I/N with I < N, such as 0/2"))
     }
 }
@@ -86,8 +87,8 @@ pub struct Collected {
 }
 
 impl Collector {
-    /// Opens or creates the folder and its manifest. A folder that holds a data set is refused without `resume`, and
-    /// always if its recipe differs.
+    /// Opens or creates the folder and its manifest. A folder that holds a data set is refused if its recipe differs, and
+    /// without `resume` unless only a part is to be made: the others may have been begun in the same folder.
     ///
     /// # Errors
     /// As said, and whatever the file system reports.
@@ -129,7 +130,7 @@ impl Collector {
     }
 
     fn shards(&self) -> impl Iterator<Item = u64> + '_ {
-        (0..self.manifest.shards()).filter(|k| k % self.part.of == self.part.index)
+        (0..self.manifest.shards()).filter(|k| *k % self.part.of == self.part.index)
     }
 
     /// Makes the missing shards. `progress` hears of every finished scene: how
@@ -137,9 +138,9 @@ impl Collector {
     /// after the scenes under way, without their shard.
     ///
     /// # Errors
-    /// [`CollectError::Interrupted`] after a stop; what the file system says; what an object's file says if it cannot be loaded
-    /// and no scene was made of any other before, else its scenes are left out. Finished shards stay; if there are none, nothing
-    /// does.
+    /// [`CollectError::Interrupted`] after a stop; what the file system says; what is wrong with an object that cannot be
+    /// loaded, if no other of the whole set can be: else its scenes are left out, whatever part this run makes. Finished
+    /// shards stay; if there are none, nothing does.
     pub fn run(
         &self,
         stop: &AtomicBool,
@@ -186,6 +187,7 @@ impl Collector {
                 Err(_) => missing.push(shard),
             }
         }
+        let mut any_loads = false;
         for shard in missing {
             let records = self.manifest.scenes_of(shard).into_par_iter().map(|index| {
                 if stop.load(Ordering::Relaxed) {
@@ -219,16 +221,17 @@ impl Collector {
             let (mut made, mut unloadable) = (Vec::new(), Vec::new());
             for (index, record) in self.manifest.scenes_of(shard).zip(records) {
                 match record {
-                    Ok(record) => made.extend(record),
+                    Ok(record) => {
+                        any_loads = true;
+                        made.extend(record);
+                    }
                     Err(error) => unloadable.push((index, error)),
                 }
             }
-            // An object that cannot be loaded costs no other its scenes, if there is any other.
-            let mut scenes = 0;
-            with(&mut |s| scenes = s.scenes);
-            if scenes == 0
-                && let Some((_, error)) = unloadable.pop()
-            {
+            // An object that cannot be loaded costs no other its scenes, if there is any other. Which scenes a shard
+            // or a part happens to hold must not matter.
+            any_loads = any_loads || self.preparer.any_loads();
+            if !any_loads && let Some((_, error)) = unloadable.pop() {
                 return Err(error.into());
             }
             for (index, error) in unloadable {
@@ -239,34 +242,4 @@ impl Collector {
         }
         Ok(state.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner))
     }
-}
-
-/// Compares manifests and names the first difference.
-fn refuse_other(path: &Path, found: &Manifest, expected: &Manifest) -> Result<(), CollectError> {
-    let flat = |m: &Manifest| {
-        let mut fields = vec![
-            ("scenes".to_owned(), Value::from(m.scenes)),
-            ("scenes per shard".to_owned(), Value::from(m.scenes_per_shard)),
-            ("version".to_owned(), Value::from(m.version.as_str())),
-        ];
-        match &m.recipe {
-            Value::Object(recipe) => fields.extend(recipe.iter().map(|(k, v)| (k.clone(), v.clone()))),
-            other => fields.push(("recipe".to_owned(), other.clone())),
-        }
-        fields
-    };
-    let (ours, theirs) = (flat(expected), flat(found));
-    for (field, expected) in &ours {
-        let found = theirs.iter().find(|(name, _)| name == field).map_or(&Value::Null, |(_, value)| value);
-        if found != expected {
-            let (found, expected) = (found.to_string(), expected.to_string());
-            return Err(CollectError::OtherRecipe {
-                path: path.to_owned(),
-                field: field.clone(),
-                found,
-                expected,
-            });
-        }
-    }
-    Ok(())
 }

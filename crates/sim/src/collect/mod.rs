@@ -1,5 +1,6 @@
 //! Collecting data: scenes and their trials, a recipe at a time.
 
+mod compare;
 mod folder;
 mod prepare;
 mod recipe;
@@ -33,7 +34,7 @@ pub enum CollectError {
         source: std::io::Error,
     },
     /// A folder without objects.
-    #[error("{}: no object of the wanted categories, expected <Category>/<id>/mobility.urdf", path.display())]
+    #[error("{}: no object of the wanted categories, expected <Category>/<id> with mobility.urdf or one other .urdf file", path.display())]
     NoObjects {
         /// The folder.
         path: PathBuf,

@@ -8,7 +8,7 @@ use rand::RngExt;
 use where2act_core::Seed;
 use where2act_core::shard::{Freedom, SceneInfo};
 
-use super::{CollectError, Recipe};
+use super::{CollectError, ObjectSet, Recipe};
 use crate::object::{self, JointKind, Object};
 use crate::render::{Look, View, render, sample_camera, visible_bounds};
 use crate::scene::{Scene, SettledScene};
@@ -60,7 +60,7 @@ impl Preparer {
 
     /// Makes scene `index`: draws objects and start poses until one settles and a camera sees its movable parts.
     /// `None` if none of many attempts does. All attempts with a folder stay with the object whose turn it is, see
-    /// [`ObjectSet::turn`](super::ObjectSet::turn).
+    /// [`ObjectSet::turn`].
     ///
     /// Real objects can fail them all, as they do in the published procedure, which drops such scenes too: flaps of a
     /// carton that share a corner press on each other, flaps of paper swing for longer than settling may take, and
@@ -116,6 +116,14 @@ impl Preparer {
             let view = render(settled.object(), &poses, &camera, &look);
             (view.link.iter().filter(|&&l| l > 1).count() >= MIN_MOVABLE_PIXELS).then_some(view)
         })
+    }
+
+    /// Whether any object of the recipe can be loaded; asks until one can.
+    pub(super) fn any_loads(&self) -> bool {
+        match &self.recipe.objects {
+            ObjectSet::Procedural { .. } => true,
+            ObjectSet::Folder { names, .. } => names.iter().any(|name| self.object(name).is_ok()),
+        }
     }
 
     /// An object of the recipe, loaded or generated once in a while.

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use where2act_core::{Category, Primitive, Seed, Split};
 
 use super::CollectError;
+use crate::object::urdf_in;
 use crate::trial::Mode;
 
 /// Everything that decides a data set but the number of its scenes: same recipe, same scenes, bit for bit.
@@ -74,7 +75,7 @@ pub enum ObjectSet {
     },
     /// Folders of a PartNet-Mobility-like data set; scenes take turns over the objects.
     Folder {
-        /// The folder that holds `<Category>/<id>/mobility.urdf`.
+        /// The folder that holds `<Category>/<id>`, each with its URDF file.
         root: PathBuf,
         /// The objects, as `<Category>/<id>`.
         names: Vec<String>,
@@ -99,7 +100,8 @@ impl ObjectSet {
         Self::Procedural { categories: categories_of(Split::Train), seeds }
     }
 
-    /// The objects in a folder, of `categories` if that is not empty.
+    /// The objects in a folder, of `categories` if that is not empty. Folders `<Category>/<id>` in which
+    /// [`urdf_in`] finds no object are left out, and the log says so.
     ///
     /// # Errors
     /// If the folder cannot be read or holds no such object.
@@ -121,8 +123,13 @@ impl ObjectSet {
                 continue;
             }
             for id in read(&root.join(&folder))? {
-                if root.join(&folder).join(&id).join("mobility.urdf").is_file() {
-                    names.push(format!("{folder}/{id}"));
+                let object = root.join(&folder).join(&id);
+                if !object.is_dir() {
+                    continue;
+                }
+                match urdf_in(&object) {
+                    Ok(_) => names.push(format!("{folder}/{id}")),
+                    Err(error) => tracing::warn!("{error}, left out"),
                 }
             }
         }
@@ -188,6 +195,24 @@ mod tests {
         }
         let none = ObjectSet::Folder { root: PathBuf::new(), names: Vec::new() };
         assert_eq!(none.draw(3, &mut Seed(0).rng()), None);
+    }
+
+    #[test]
+    fn a_folder_with_its_urdf_is_an_object_whatever_the_name_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let files =
+            ["Box/1/mobility.urdf", "Box/1/old.urdf", "Box/2/box.urdf", "Box/4/a.urdf", "Box/4/b.urdf"];
+        for file in files.iter().chain(&["Box/3/readme", "Box/index", "Door/1/mobility.urdf"]) {
+            let path = folder.path().join(file);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "").unwrap();
+        }
+        let names = |categories: &[Category]| match ObjectSet::folder(folder.path(), categories).unwrap() {
+            ObjectSet::Folder { names, .. } => names,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(names(&[]), ["Box/1", "Box/2", "Door/1"]);
+        assert_eq!(names(&[Category::Box]), ["Box/1", "Box/2"]);
     }
 
     #[test]

@@ -55,10 +55,10 @@ pub enum ObjectError {
     #[error("{}: joint {joint:?}: expected fixed, revolute, continuous or prismatic, found {found}", path.display())]
     JointKind { path: PathBuf, joint: String, found: &'static str },
     /// Reversed, infinite or NaN limits.
-    #[error("{}: joint {joint:?}: expected finite limits with lower <= upper, found {lower} and {upper}", path.display())]
+    #[error("{}: joint {joint:?}: expected finite limits with lower <= upper, found {lower:?} and {upper:?}", path.display())]
     Limits { path: PathBuf, joint: String, lower: f64, upper: f64 },
-    /// An axis without a direction.
-    #[error("{}: joint {joint:?}: expected an axis with a direction, found {axis:?}", path.display())]
+    /// An axis without a direction, or too long to find it.
+    #[error("{}: joint {joint:?}: expected an axis with a direction and a finite length, found {axis:?}", path.display())]
     Axis { path: PathBuf, joint: String, axis: [f64; 3] },
     /// A pose, scale or size in the URDF is not a finite number, or a size is not positive.
     #[error("{}: {owner}: expected {expected}, found {found:?}", path.display())]

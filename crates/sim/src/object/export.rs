@@ -17,7 +17,8 @@ const EFFORT_AND_VELOCITY: &str = "effort=\"100\" velocity=\"10\"";
 
 /// Writes `folder/mobility.urdf` with its meshes (OBJ), materials, textures, part names and category. The folder
 /// must be new or empty, and appears whole or not at all. Loading it gives the same links, joints and convex
-/// pieces.
+/// pieces by name. Their order may differ: the loader counts links level by level, and generators count a handle
+/// right after its door.
 ///
 /// # Errors
 /// Whatever the file system says.
@@ -31,9 +32,13 @@ pub fn export(object: &Object, folder: &Path) -> Result<(), ObjectError> {
     let parent = folder.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let write = || -> io::Result<()> {
         fs::create_dir_all(parent)?;
-        let partial = tempfile::Builder::new().prefix(".partial-").tempdir_in(parent)?;
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".partial-");
+        // Temporary folders are private unless told otherwise; the umask makes of this what it makes of any other.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+        let partial = builder.tempdir_in(parent)?;
         write_all(object, partial.path())?;
-        readable(partial.path())?;
         fs::rename(partial.path(), folder)?;
         // It has another name now: there is nothing left to delete.
         let _ = partial.keep();
@@ -188,13 +193,4 @@ fn tinted(texture: &Arc<RgbImage>, material: &Material) -> RgbImage {
 
 fn escaped(name: &str) -> String {
     name.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
-/// Temporary folders are private; finished ones follow the usual permissions of a new folder.
-fn readable(folder: &Path) -> io::Result<()> {
-    #[cfg(unix)]
-    fs::set_permissions(folder, std::os::unix::fs::PermissionsExt::from_mode(0o755))?;
-    #[cfg(not(unix))]
-    let _ = folder;
-    Ok(())
 }

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::ptr;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -42,7 +43,8 @@ pub(super) fn load(path: &Path, cache: Option<&Path>) -> Result<Object, ObjectEr
     if links.iter().all(|l| l.visuals.is_empty() && l.pieces.is_empty()) {
         return Err(ObjectError::Empty { path: path.to_owned(), found: "no triangles in any link" });
     }
-    Ok(Object { name: notes.name, category: notes.category, links, materials: materials.0 })
+    let materials = materials.0.into_iter().map(|(material, _)| material).collect();
+    Ok(Object { name: notes.name, category: notes.category, links, materials })
 }
 
 /// A collision shape: a mesh in its own frame and where it sits on the link.
@@ -77,15 +79,16 @@ fn add_pieces(links: &mut [Link], touchable: Vec<Vec<Touchable>>, cache: Option<
     }
 }
 
-/// Materials of an object, each once.
+/// Materials of an object, each once, with the URDF element that defines them if there is one. Textured elements have
+/// entries of their own even where they share a texture: random looks paint every entry anew.
 #[derive(Default)]
-struct Palette(Vec<Material>);
+struct Palette<'a>(Vec<(Material, Option<&'a urdf_rs::Material>)>);
 
-impl Palette {
-    fn index(&mut self, material: Material) -> usize {
-        let same = |m: &Material| {
+impl<'a> Palette<'a> {
+    fn index(&mut self, material: Material, element: Option<&'a urdf_rs::Material>) -> usize {
+        let same = |(m, e): &(Material, Option<&urdf_rs::Material>)| {
             let texture = match (&m.texture, &material.texture) {
-                (Some(a), Some(b)) => Arc::ptr_eq(a, b),
+                (Some(a), Some(b)) => Arc::ptr_eq(a, b) && e.map(ptr::from_ref) == element.map(ptr::from_ref),
                 (None, None) => true,
                 _ => false,
             };
@@ -93,7 +96,7 @@ impl Palette {
             texture && numbers(m) == numbers(&material)
         };
         self.0.iter().position(same).unwrap_or_else(|| {
-            self.0.push(material);
+            self.0.push((material, element));
             self.0.len() - 1
         })
     }
@@ -106,8 +109,9 @@ struct Loader<'a> {
     urdf: &'a Path,
     robot: &'a Robot,
     files: HashMap<String, MeshFile>,
+    textures: Textures,
     /// The robot's named materials.
-    named: HashMap<&'a str, Material>,
+    named: HashMap<&'a str, &'a urdf_rs::Material>,
 }
 
 impl<'a> Loader<'a> {
@@ -133,23 +137,32 @@ impl<'a> Loader<'a> {
         };
         // The first error in the order of names, so that a report does not depend on threads.
         let files: Vec<Result<_, ObjectError>> = names.par_iter().map(read).collect();
-        let named = robot.materials.iter().map(|m| (m.name.as_str(), from_urdf(urdf, m))).collect();
-        Ok(Self { urdf, robot, files: files.into_iter().collect::<Result<_, _>>()?, named })
+        let named = robot.materials.iter().map(|m| (m.name.as_str(), m)).collect();
+        Ok(Self { urdf, robot, files: files.into_iter().collect::<Result<_, _>>()?, textures, named })
     }
 
     /// Everything on the links of a part, in the part's frame.
-    fn part(&self, part: &Part, palette: &mut Palette) -> Result<(Vec<Visual>, Vec<Touchable>), ObjectError> {
+    fn part(
+        &self,
+        part: &Part,
+        palette: &mut Palette<'a>,
+    ) -> Result<(Vec<Visual>, Vec<Touchable>), ObjectError> {
         let (mut seen, mut touchable) = (Vec::new(), Vec::new());
         for (index, part_from_link) in &part.members {
             let link = &self.robot.links[*index];
             let place = |origin| -> Result<Isometry3<f32>, ObjectError> {
-                Ok((part_from_link * urdf::pose(self.urdf, &format!("link {:?}", link.name), origin)?).cast())
+                let owner = format!("link {:?}", link.name);
+                Ok(urdf::pose(self.urdf, &owner, part_from_link, origin)?.cast())
             };
             for visual in &link.visual {
                 let pose = place(&visual.origin)?;
-                let own = visual.material.as_ref().map(|m| self.material(m));
+                let element = visual.material.as_ref().map(|m| self.definition(m));
                 for (mesh, material, scale) in self.meshes(&link.name, &visual.geometry)? {
-                    let material = palette.index(material.or(own.clone()).unwrap_or_default());
+                    let material = match (material, element) {
+                        (Some(of_mesh), _) => palette.index(of_mesh, None),
+                        (None, Some(element)) => palette.index(self.material(element), Some(element)),
+                        (None, None) => palette.index(Material::default(), None),
+                    };
                     seen.push((mesh.placed(&pose, &scale), material));
                 }
             }
@@ -175,8 +188,8 @@ impl<'a> Loader<'a> {
 
     /// The meshes of a geometry in its own frame, not yet scaled.
     fn meshes(&self, link: &str, geometry: &Geometry) -> Result<Vec<ScaledMesh>, ObjectError> {
-        let check = |expected, found: &[f64], fine: fn(f64) -> bool| {
-            if found.iter().all(|&x| x.is_finite() && fine(x)) {
+        let check = |expected, found: &[f64], fine: fn(f32) -> bool| {
+            if found.iter().map(|&x| x as f32).all(|x| x.is_finite() && fine(x)) {
                 return Ok(());
             }
             let (path, owner) = (self.urdf.to_owned(), format!("link {link:?}"));
@@ -215,23 +228,25 @@ impl<'a> Loader<'a> {
         }
     }
 
-    fn material(&self, material: &urdf_rs::Material) -> Material {
+    /// Where a material is defined: here, or by the robot under its name.
+    fn definition(&self, material: &'a urdf_rs::Material) -> &'a urdf_rs::Material {
         let defined_here = material.color.is_some() || material.texture.is_some();
         let named = self.named.get(material.name.as_str()).filter(|_| !defined_here);
-        named.cloned().unwrap_or_else(|| from_urdf(self.urdf, material))
+        named.copied().unwrap_or(material)
     }
-}
 
-fn from_urdf(urdf: &Path, material: &urdf_rs::Material) -> Material {
-    let unit = |x: f64| if x.is_finite() { x.clamp(0.0, 1.0) as f32 } else { 1.0 };
-    let texture = material.texture.as_ref().and_then(|t| mesh::read_texture(&resolve(urdf, &t.filename)));
-    let fallback = if texture.is_some() { [1.0; 3] } else { Material::default().colour };
-    let rgba = material.color.as_ref().map(|c| c.rgba.0.map(unit));
-    Material {
-        colour: rgba.map_or(fallback, |c| [c[0], c[1], c[2]]),
-        texture,
-        opacity: rgba.map_or(1.0, |c| c[3]),
-        ..Material::default()
+    fn material(&self, element: &urdf_rs::Material) -> Material {
+        let unit = |x: f64| if x.is_finite() { x.clamp(0.0, 1.0) as f32 } else { 1.0 };
+        let texture = element.texture.as_ref();
+        let texture = texture.and_then(|t| self.textures.get(&resolve(self.urdf, &t.filename)));
+        let fallback = if texture.is_some() { [1.0; 3] } else { Material::default().colour };
+        let rgba = element.color.as_ref().map(|c| c.rgba.0.map(unit));
+        Material {
+            colour: rgba.map_or(fallback, |c| [c[0], c[1], c[2]]),
+            texture,
+            opacity: rgba.map_or(1.0, |c| c[3]),
+            ..Material::default()
+        }
     }
 }
 

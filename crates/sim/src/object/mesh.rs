@@ -1,6 +1,7 @@
 //! Mesh files: OBJ with materials, STL.
 
 use std::collections::HashMap;
+use std::fmt::Write as _;
 use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -25,19 +26,19 @@ pub(super) struct MeshFile {
     pub(super) parts: Vec<(Mesh, Option<Material>)>,
 }
 
-/// Textures by path, so that the meshes of an object share them. `None` is a texture that could not be read.
+/// Textures by path, so that all of an object shares them. `None` is a texture that could not be read.
 #[derive(Default)]
 pub(super) struct Textures(Mutex<HashMap<PathBuf, Option<Arc<RgbImage>>>>);
 
 impl Textures {
-    fn get(&self, path: &Path) -> Option<Arc<RgbImage>> {
+    pub(super) fn get(&self, path: &Path) -> Option<Arc<RgbImage>> {
         let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         known.entry(path.to_owned()).or_insert_with(|| read_texture(path)).clone()
     }
 }
 
 /// Reads a texture, or says in the log why the colour alone will be used.
-pub(super) fn read_texture(path: &Path) -> Option<Arc<RgbImage>> {
+fn read_texture(path: &Path) -> Option<Arc<RgbImage>> {
     let decode = || -> Result<RgbImage, image::ImageError> {
         let mut reader = ImageReader::open(path)?.with_guessed_format()?;
         let mut limits = Limits::default();
@@ -87,7 +88,10 @@ fn read_obj(
     let (models, materials) = tobj::load_obj_buf(&mut Cursor::new(text.as_bytes()), &options, |name| {
         let library = folder.join(name);
         match fs::read(&library) {
-            Ok(bytes) => tobj::load_mtl_buf(&mut Cursor::new(String::from_utf8_lossy(&bytes).as_bytes())),
+            Ok(bytes) => {
+                let text = with_whole_colours(&library, &String::from_utf8_lossy(&bytes));
+                tobj::load_mtl_buf(&mut Cursor::new(text.as_bytes()))
+            }
             Err(e) => {
                 warn!("{}: materials are left out: {e}", library.display());
                 Ok((Vec::new(), Default::default()))
@@ -111,6 +115,31 @@ fn read_obj(
     }
     let material = |id: usize| materials.get(id).map(|m| from_mtl(m, folder, textures));
     Ok(parts.into_iter().map(|(id, mesh)| (mesh, id.and_then(material))).collect())
+}
+
+/// In MTL, one number makes a grey; tobj panics unless there are three. Lines with none or two are left out.
+fn with_whole_colours(library: &Path, text: &str) -> String {
+    let mut whole = String::with_capacity(text.len());
+    for line in text.lines() {
+        let mut words = line.split_whitespace();
+        let is_colour = words.next().is_some_and(|word| matches!(word, "Ka" | "Kd" | "Ks" | "Ke"));
+        let numbers: Vec<&str> = words.collect();
+        match numbers[..] {
+            [grey] if is_colour => {
+                // Writing to a string cannot fail.
+                let _ = writeln!(whole, "{} {grey} {grey}", line.trim());
+            }
+            [] | [_, _] if is_colour => {
+                let (library, line) = (library.display(), line.trim());
+                warn!("{library}: expected one number or three, found {line:?}: left out");
+            }
+            _ => {
+                whole.push_str(line);
+                whole.push('\n');
+            }
+        }
+    }
+    whole
 }
 
 fn from_tobj(path: &Path, mesh: tobj::Mesh) -> Result<Mesh, ObjectError> {

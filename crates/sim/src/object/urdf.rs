@@ -120,8 +120,8 @@ pub(super) fn parts(path: &Path, robot: &Robot) -> Result<Vec<Part>, ObjectError
             for &j in children.get(&link).map_or(&[][..], Vec::as_slice) {
                 reached += 1;
                 let (joint, child) = (&robot.joints[j.0], j.1);
-                let part_from_joint =
-                    part_from_link * pose(path, &format!("joint {:?}", joint.name), &joint.origin)?;
+                let owner = format!("joint {:?}", joint.name);
+                let part_from_joint = pose(path, &owner, &part_from_link, &joint.origin)?;
                 match movable(path, joint, part, part_from_joint.cast())? {
                     Movement::Welded(offset) => parts[part].members.push((child, part_from_joint * offset)),
                     Movement::Joint(joint) => {
@@ -219,7 +219,7 @@ fn movable(
         JointType::Spherical => return Err(refuse("spherical")),
     };
     let xyz = joint.axis.xyz.0;
-    let axis = Some(Vector3::from(xyz)).filter(|a| a.iter().all(|c| c.is_finite()));
+    let axis = Some(Vector3::from(xyz)).filter(|a| a.norm().is_finite());
     let axis = axis.and_then(|a| Unit::try_new(a, 1e-9)).ok_or_else(|| ObjectError::Axis {
         path: path.to_owned(),
         joint: joint.name.clone(),
@@ -229,11 +229,13 @@ fn movable(
     if lower.is_nan() || upper.is_nan() || lower > upper {
         return Err(ObjectError::Limits { path: path.to_owned(), joint: joint.name.clone(), lower, upper });
     }
-    let endless = lower == f64::NEG_INFINITY && upper == f64::INFINITY;
+    // What is finite in the file need not be so here.
+    let limits = (lower as f32, upper as f32);
+    let endless = limits == (f32::NEG_INFINITY, f32::INFINITY);
     let (kind, limits) = match kind {
         JointKind::Continuous => (kind, (-CONTINUOUS_LIMIT, CONTINUOUS_LIMIT)),
         JointKind::Revolute if endless => (JointKind::Continuous, (-CONTINUOUS_LIMIT, CONTINUOUS_LIMIT)),
-        _ if !(lower.is_finite() && upper.is_finite()) => {
+        _ if !(limits.1 - limits.0).is_finite() => {
             return Err(ObjectError::Limits {
                 path: path.to_owned(),
                 joint: joint.name.clone(),
@@ -241,7 +243,7 @@ fn movable(
                 upper,
             });
         }
-        _ => (kind, (lower as f32, upper as f32)),
+        _ => (kind, limits),
     };
     if limits.0 == limits.1 {
         warn!("{}: joint {:?} cannot move: its limits are both {lower}", path.display(), joint.name);
@@ -257,16 +259,23 @@ fn movable(
     Ok(Movement::Joint(Joint { name: joint.name.clone(), parent, kind, parent_from_joint, axis, limits }))
 }
 
-/// The pose of an `<origin>`: rotation about the fixed x, then y, then z axis.
-pub(super) fn pose(path: &Path, owner: &str, origin: &Pose) -> Result<Isometry3<f64>, ObjectError> {
-    let found: Vec<f64> = origin.xyz.iter().chain(origin.rpy.iter()).copied().collect();
-    if found.iter().any(|c| !c.is_finite()) {
-        let expected = "a finite origin";
-        return Err(ObjectError::Number { path: path.to_owned(), owner: owner.to_owned(), expected, found });
-    }
+/// The pose of an `<origin>` in the frame of its part: rotation about the fixed x, then y, then z axis.
+pub(super) fn pose(
+    path: &Path,
+    owner: &str,
+    part_from_parent: &Isometry3<f64>,
+    origin: &Pose,
+) -> Result<Isometry3<f64>, ObjectError> {
     let [roll, pitch, yaw] = origin.rpy.0;
-    Ok(Isometry3::from_parts(
+    let parent_from_origin = Isometry3::from_parts(
         Point3::from(origin.xyz.0).into(),
         UnitQuaternion::from_euler_angles(roll, pitch, yaw),
-    ))
+    );
+    let pose = part_from_parent * parent_from_origin;
+    if pose.cast::<f32>().to_homogeneous().iter().all(|c| c.is_finite()) {
+        return Ok(pose);
+    }
+    let found = origin.xyz.iter().chain(origin.rpy.iter()).copied().collect();
+    let expected = "an origin that is finite in single precision";
+    Err(ObjectError::Number { path: path.to_owned(), owner: owner.to_owned(), expected, found })
 }

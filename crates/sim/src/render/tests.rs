@@ -282,6 +282,23 @@ fn an_observation_holds_what_the_view_holds() {
 }
 
 #[test]
+fn beside_the_picture_there_is_nothing() {
+    let wall = rectangle([0.5, 3.0, -3.0], [0.0, -6.0, 0.0], [0.0, 0.0, 6.0]);
+    let object = object(vec![vec![], vec![(wall, 0)]], vec![material([0.5; 3])]);
+    let view = render(&object, &poses(&object), &front_camera(), &Look::default());
+    let size = view.camera.size;
+    let (width, height) = (size.width as u32, size.height as u32);
+    let seen = |u, v| {
+        let pixel = Pixel { u, v };
+        (view.point_in_world(pixel).is_some(), view.normal_in_world(pixel).is_some(), view.link_at(pixel))
+    };
+    assert_eq!(seen(width - 1, height - 1), (true, true, Some(1)));
+    for (u, v) in [(width, 0), (0, height), (u32::MAX, 0), (0, u32::MAX)] {
+        assert_eq!(seen(u, v), (false, false, None), "{u} {v}");
+    }
+}
+
+#[test]
 fn the_short_way_for_white_backgrounds_gives_the_same_picture() {
     let object = object(vec![vec![(sphere(0.5, 20), 0)]], vec![material([0.5, 0.2, 0.9])]);
     let plain = render(&object, &poses(&object), &front_camera(), &Look::default());

@@ -32,10 +32,17 @@ impl View {
         }
     }
 
-    /// The point in the world seen at the centre of a pixel; `None` for background.
+    /// Row-major index of a pixel; `None` outside of the picture.
+    fn index(&self, pixel: Pixel) -> Option<usize> {
+        let size = self.camera.size;
+        let inside = (pixel.u as usize) < size.width && (pixel.v as usize) < size.height;
+        inside.then(|| size.index(pixel))
+    }
+
+    /// The point in the world seen at the centre of a pixel; `None` for background and outside of the picture.
     #[must_use]
     pub fn point_in_world(&self, pixel: Pixel) -> Option<Point3<f32>> {
-        let depth = *self.depth.get(self.camera.size.index(pixel))?;
+        let depth = *self.depth.get(self.index(pixel)?)?;
         let point = self.camera.intrinsics.pixel_to_point(pixel, depth);
         (depth > 0.0).then(|| self.camera.world_from_camera * point)
     }
@@ -53,17 +60,18 @@ impl View {
         depth > 0.0 && point.z > depth + by
     }
 
-    /// Unit normal of the surface seen at the centre of a pixel, on the camera's side; `None` for background.
+    /// Unit normal of the surface seen at the centre of a pixel, on the camera's side; `None` for background and
+    /// outside of the picture.
     #[must_use]
     pub fn normal_in_world(&self, pixel: Pixel) -> Option<Vector3<f32>> {
-        let normal = *self.normals_in_world.get(self.camera.size.index(pixel))?;
+        let normal = *self.normals_in_world.get(self.index(pixel)?)?;
         (normal != Vector3::zeros()).then_some(normal)
     }
 
-    /// Index of the link seen at the centre of a pixel; `None` for background.
+    /// Index of the link seen at the centre of a pixel; `None` for background and outside of the picture.
     #[must_use]
     pub fn link_at(&self, pixel: Pixel) -> Option<usize> {
-        self.link.get(self.camera.size.index(pixel))?.checked_sub(1).map(usize::from)
+        self.link.get(self.index(pixel)?)?.checked_sub(1).map(usize::from)
     }
 
     /// Pixels that show a movable link, in row-major order.

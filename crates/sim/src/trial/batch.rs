@@ -199,8 +199,8 @@ fn outcome_field(column: &str, outcome: &Outcome) -> Option<String> {
 }
 
 /// Where a table has what.
-struct Columns {
-    count: usize,
+struct Columns<'a> {
+    header: &'a [String],
     input: [usize; INPUT.len()],
     /// Column and index of the joint.
     q: Vec<(usize, usize)>,
@@ -208,8 +208,8 @@ struct Columns {
     success: Option<usize>,
 }
 
-impl Columns {
-    fn new(header: &[String], object: &Object) -> Result<Self, String> {
+impl<'a> Columns<'a> {
+    fn new(header: &'a [String], object: &Object) -> Result<Self, String> {
         let place = |name: &str| header.iter().position(|h| h == name);
         let mut input = [0; INPUT.len()];
         for (place_of, name) in input.iter_mut().zip(INPUT) {
@@ -232,13 +232,13 @@ impl Columns {
             })?;
             q.push((column, link - 1));
         }
-        Ok(Self { count: header.len(), input, q, valid: place("valid"), success: place("success") })
+        Ok(Self { header, input, q, valid: place("valid"), success: place("success") })
     }
 
     fn row(&self, line: &str, object: &Arc<Object>) -> Result<Row, String> {
         let fields: Vec<String> = line.split('\t').map(|field| field.trim().to_owned()).collect();
-        if fields.len() != self.count {
-            return Err(format!("expected {} columns, found {}", self.count, fields.len()));
+        if fields.len() != self.header.len() {
+            return Err(format!("expected {} columns, found {}", self.header.len(), fields.len()));
         }
         let mut numbers = [0.0; 9];
         for (number, (column, name)) in numbers.iter_mut().zip(self.input.iter().zip(INPUT).skip(2)) {
@@ -258,7 +258,7 @@ impl Columns {
         })?;
         let mut q = object.closed();
         for (column, joint) in &self.q {
-            q[*joint] = finite("q", &fields[*column])?;
+            q[*joint] = finite(&self.header[*column], &fields[*column])?;
         }
         let q = Scene::new(Arc::clone(object), q).map_err(|e| e.to_string())?.q;
         let attempt = Attempt {
@@ -282,4 +282,26 @@ impl Columns {
 fn finite(column: &str, field: &str) -> Result<f32, String> {
     let number = field.parse::<f32>().ok().filter(|x| x.is_finite());
     number.ok_or_else(|| format!("expected a finite number in {column}, found {field:?}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::object;
+
+    #[test]
+    fn mistakes_are_told_by_line_and_column() {
+        let object = Arc::new(object::open("Microwave:1").unwrap());
+        let link = &object.links[1].name;
+        let header = format!("{}\tq_{link}", INPUT.join("\t"));
+        let row = |px: &str, q: &str| format!("pushing\t{link}\t{px}\t0\t0\t1\t0\t0\t0\t1\t0\t{q}");
+        let parse = |row: String| Batch::parse(&format!("{header}\n\n{row}\n"), Arc::clone(&object));
+        assert_eq!(parse(row("0", "0")).unwrap().len(), 1);
+        for (row, column, found) in
+            [(row("0", "ajar"), format!("q_{link}"), "ajar"), (row("", "0"), "px".into(), "")]
+        {
+            let error = parse(row).err().expect("a mistake").to_string();
+            assert_eq!(error, format!("line 3: expected a finite number in {column}, found {found:?}"));
+        }
+    }
 }

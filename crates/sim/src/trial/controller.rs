@@ -143,7 +143,7 @@ impl<'a> Controller<'a> {
         all
     }
 
-    fn observe(&mut self) {
+    pub(super) fn observe(&mut self) {
         let Some(observer) = &mut self.observer else { return };
         if self.steps.is_multiple_of(observer.every.max(1)) {
             let pose = self.world.hand_pose(&self.hand);

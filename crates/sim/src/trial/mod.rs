@@ -106,6 +106,10 @@ impl SettledScene {
         };
 
         if normal_in_world.is_some_and(|normal| normal.dot(&grasp.approach()) > 0.0) {
+            // Nothing is simulated, but who looks shall see what is refused.
+            if observer.is_some() {
+                Controller::new(self, mode, primitive.motion(grasp), observer).observe();
+            }
             return judge(Some(Invalid::ApproachFromBehind), q_start, Vector3::zeros());
         }
         let mut controller = Controller::new(self, mode, primitive.motion(grasp), observer);

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use where2act_core::{Category, Split};
-use where2act_sim::object::urdf_in;
+use where2act_sim::object::{ObjectError, urdf_in};
 
 #[derive(clap::Args)]
 pub(crate) struct Args {
@@ -55,24 +55,28 @@ fn moving_parts(category: Category) -> &'static str {
     }
 }
 
-/// Folders below `folder`, itself included, that hold one object each, in the order of their names. A folder
-/// inside an object's folder is not looked at.
+/// Folders below `folder`, itself included, that hold one object each, in the order of their names; with them those that
+/// hold several URDF files and do not say which one counts, which cannot be loaded. A folder inside an object's
+/// folder is not looked at.
 pub(crate) fn objects_in(folder: &Path) -> Result<Vec<PathBuf>> {
     if !folder.is_dir() {
         bail!("{}: expected a folder of objects, found none", folder.display());
     }
-    if urdf_in(folder).is_ok() {
-        return Ok(vec![folder.to_owned()]);
-    }
     let mut found = Vec::new();
     let mut open = vec![folder.to_owned()];
     while let Some(next) = open.pop() {
+        match urdf_in(&next) {
+            Ok(_) => {
+                found.push(next);
+                continue;
+            }
+            Err(ObjectError::AmbiguousFolder { found: 1.., .. }) => found.push(next.clone()),
+            Err(_) => {}
+        }
         let entries = std::fs::read_dir(&next).with_context(|| next.display().to_string())?;
         // Links are not followed, so that a loop of them has an end.
         let folders = entries.filter_map(Result::ok).filter(|e| e.file_type().is_ok_and(|t| t.is_dir()));
-        for path in folders.map(|e| e.path()) {
-            if urdf_in(&path).is_ok() { found.push(path) } else { open.push(path) }
-        }
+        open.extend(folders.map(|e| e.path()));
     }
     found.sort();
     if found.is_empty() {

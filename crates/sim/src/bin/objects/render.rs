@@ -7,7 +7,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use image::{ImageFormat, Rgb, RgbImage};
 use where2act_core::{Camera, ImageSize, program, write_whole};
-use where2act_sim::object::{self, Material, Object, Visual};
+use where2act_sim::object::{self, JointKind, Material, Object, Visual};
 use where2act_sim::render::{Look, View, render, visible_bounds};
 
 #[derive(clap::Args)]
@@ -34,7 +34,7 @@ pub(crate) struct Args {
         conflicts_with = "open"
     )]
     q: Option<Vec<f32>>,
-    /// Every joint this far open: 0 = closed, 1 = at the limit furthest from closed.
+    /// Every joint this far open: 0 = closed, 1 = at the limit furthest from closed, or half a turn if it has none.
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     open: f32,
     #[command(flatten)]
@@ -100,16 +100,20 @@ pub(crate) fn show_pieces(object: &mut Object) {
     }
 }
 
-/// Joint positions with every part this far from closed, towards the limit that is further away.
+/// Joint positions with every part this far from closed, towards the limit that is further away; half a turn is all the
+/// way where there are no limits.
 pub(crate) fn opened(object: &Object, fraction: f32) -> Result<Vec<f32>> {
     if !(0.0..=1.0).contains(&fraction) {
         bail!("--open {fraction}: expected a number from 0 to 1");
     }
     let towards = |(link, closed): (usize, f32)| {
-        let (lower, upper) = object.joint(link).limits;
-        let end = if upper - closed >= closed - lower { upper } else { lower };
-        // A full turn says more than the three that a joint without limits is allowed.
-        let end = end.clamp(closed - std::f32::consts::PI, closed + std::f32::consts::PI);
+        let joint = object.joint(link);
+        let (lower, upper) = joint.limits;
+        let end = match joint.kind {
+            JointKind::Continuous => closed + std::f32::consts::PI,
+            _ if upper - closed >= closed - lower => upper,
+            _ => lower,
+        };
         closed + fraction * (end - closed)
     };
     Ok(object.movable().zip(object.closed()).map(towards).collect())
@@ -173,4 +177,27 @@ pub(crate) fn save(picture: &RgbImage, path: &std::path::Path) -> Result<()> {
     picture.write_to(&mut bytes, ImageFormat::Png)?;
     write_whole(path, |w| std::io::Write::write_all(w, bytes.get_ref()))
         .with_context(|| format!("{}: expected to write a picture here", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f32::consts::PI;
+
+    use super::*;
+
+    #[test]
+    fn hinges_open_to_their_limit_and_endless_ones_by_half_a_turn() {
+        let mut object = object::open("Microwave:1").unwrap();
+        let closed = object.closed();
+        let mut open = |kind, limits| {
+            let joint = object.links[1].joint.as_mut().unwrap();
+            (joint.kind, joint.limits) = (kind, limits);
+            opened(&object, 1.0).unwrap()[0]
+        };
+        assert_eq!(closed[0], 0.0);
+        assert_eq!(open(JointKind::Revolute, (0.0, 4.5)), 4.5);
+        assert_eq!(open(JointKind::Revolute, (-4.0, 1.0)), -4.0);
+        assert_eq!(open(JointKind::Prismatic, (0.0, 5.0)), 5.0);
+        assert_eq!(open(JointKind::Continuous, (-10.0, 10.0)), PI);
+    }
 }

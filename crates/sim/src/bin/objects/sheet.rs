@@ -40,7 +40,7 @@ pub(crate) struct Args {
     /// Side of one picture, pixels.
     #[arg(long, value_name = "N", default_value_t = 240, value_parser = clap::value_parser!(u32).range(16..=1024))]
     size: u32,
-    /// Every joint this far open, from 0 to 1.
+    /// Every joint this far open, from 0 to 1: its limit, or half a turn if it has none.
     #[arg(long, value_name = "FRACTION", default_value_t = 0.4)]
     open: f32,
     /// Draw the convex pieces that hands touch instead of what cameras see.
