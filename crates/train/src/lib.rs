@@ -37,4 +37,4 @@ pub use dataset::{Counts, DataError, Dataset, Folder, SceneId};
 pub use replay::Replay;
 pub use split::Part;
 pub use start::first_weights;
-pub use validate::{Validation, score_record, score_scenes, shifted};
+pub use validate::{Validation, score_record, score_scenes};

@@ -123,8 +123,7 @@ impl Validation {
 
 /// Scores with their logits moved, those of each of the network's primitives by its own number, as
 /// [`Network::shift_scores`] moves them.
-#[must_use]
-pub fn shifted(network: &Network, scored: &[(Trial, f32)], by: &[f32]) -> Vec<(Trial, f32)> {
+pub(crate) fn shifted(network: &Network, scored: &[(Trial, f32)], by: &[f32]) -> Vec<(Trial, f32)> {
     let shift = |trial: &Trial| network.config().output_of(trial.primitive).map_or(0.0, |output| by[output]);
     let moved = |score: f32, by: f32| 1.0 / (1.0 + (1.0 / score - 1.0) * (-by).exp());
     scored.iter().map(|(trial, score)| (*trial, moved(*score, shift(trial)))).collect()
