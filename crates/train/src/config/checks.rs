@@ -1,6 +1,6 @@
 //! Which configurations can be used.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use where2act_model::Modality;
 use where2act_sim::collect::ObjectSet;
@@ -36,9 +36,19 @@ pub enum ConfigError {
         /// What it should be.
         expected: &'static str,
     },
+    /// A file is its own base, or that of one of its bases.
+    #[error("{}: base goes round in a circle", .0.display())]
+    Circle(PathBuf),
     /// The network's part makes no sense.
     #[error(transparent)]
     Network(#[from] where2act_model::ConfigError),
+}
+
+impl ConfigError {
+    pub(super) fn syntax(path: &Path, error: &toml::de::Error) -> Self {
+        let why = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        Self::Syntax { path: path.to_owned(), why }
+    }
 }
 
 type Checked = Result<(), ConfigError>;

@@ -1,6 +1,7 @@
 //! One validated description of a training run: a TOML file, with command-line flags over it.
 
 mod checks;
+mod layers;
 
 use std::path::{Path, PathBuf};
 
@@ -362,17 +363,14 @@ fn published_weight_decay() -> f32 {
 }
 
 impl TrainConfig {
-    /// Reads and checks a TOML file.
+    /// Reads and checks a TOML file. If it names a `base`, a file beside it, what it says goes over what that one says, field
+    /// by field.
     ///
     /// # Errors
     /// Any [`ConfigError`].
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|source| ConfigError::Io { path: path.to_owned(), source })?;
-        let config: Self = toml::from_str(&text).map_err(|e| ConfigError::Syntax {
-            path: path.to_owned(),
-            why: e.to_string().split_whitespace().collect::<Vec<_>>().join(" "),
-        })?;
+        let config: Self =
+            layers::read(path)?.try_into().map_err(|error| ConfigError::syntax(path, &error))?;
         config.validate()?;
         Ok(config)
     }
