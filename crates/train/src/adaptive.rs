@@ -12,7 +12,7 @@ use where2act_sim::sampling::{Candidate, Sampler};
 
 use crate::config::AdaptiveConfig;
 use crate::dataset::{Dataset, SceneId};
-use crate::evaluate::proposals;
+use crate::evaluate::{Wanted, proposals};
 use crate::run::NewTrials;
 
 /// Of so many best proposals of a primitive those to try are drawn; the best one always is among them.
@@ -122,8 +122,10 @@ fn explore_scene(
     }
     // Photos have no depth map, so the network for pictures has to learn by itself which hands have room.
     let clearance = predictor.config().modality == Modality::Cloud;
-    let all = proposals(predictor, prep, &sampler, BEST, clearance, seed)?;
-    for (output, (mut own, &primitive)) in all.into_iter().zip(primitives).enumerate() {
+    let wanted = Wanted { count: BEST, clearance, anywhere: false };
+    let all = proposals(predictor, prep, &sampler, wanted, seed)?;
+    for (output, (own, &primitive)) in all.into_iter().zip(primitives).enumerate() {
+        let mut own: Vec<Candidate> = own.into_iter().flatten().collect();
         let count = turns.own.iter().filter(|&&turn| turn == output).count();
         if let Some((_, rest)) = own.split_first_mut() {
             rest.shuffle(&mut seed.child("own", primitive as u64).rng());

@@ -12,7 +12,7 @@ use where2act_infer::Predictor;
 use where2act_model::{Modality, ModelConfig, Network, Precision, save_weights};
 use where2act_sim::collect::ObjectSet;
 use where2act_train::evaluate::{
-    Contestant, EvaluateConfig, EvaluateError, Fate, Judgement, Report, evaluate,
+    Contestant, EvaluateConfig, EvaluateError, Fate, Judgement, Report, Row, evaluate,
 };
 
 const PRIMITIVES: [Primitive; 2] = [Primitive::Pushing, Primitive::Pulling];
@@ -121,6 +121,18 @@ fn a_report_is_whole_and_the_same_every_time() {
 
     let (again, _) = run(folder.path(), "--categories Faucet --episodes 1 --jobs 1");
     assert!(again == json, "another number of threads");
+}
+
+#[test]
+fn proposals_anywhere_count_where_nothing_moves_too() {
+    let (folder, _) = bench();
+    let (json, markdown) = run(folder.path(), "--categories StorageFurniture --episodes 3 --anywhere");
+    let report: Report = serde_json::from_str(&json).unwrap();
+    check(&report.total);
+    // A network that has learnt nothing proposes on the carcass as soon as on a drawer.
+    let missed = |row: &Row| row.fates.iter().find(|(fate, _)| *fate == Fate::NothingMoves).unwrap().1;
+    assert!(report.total.rows.iter().map(missed).sum::<u64>() > 0, "{markdown}");
+    assert!(markdown.contains("pixels, of whatever is seen") && markdown.contains(" | nothing moves |"));
 }
 
 /// A drawer above a base. In the second object there is another one behind it, and both push each other apart; the third

@@ -57,6 +57,10 @@ struct Args {
     /// Also execute proposals whose hand has no room by the depth map.
     #[arg(long)]
     no_clearance: bool,
+    /// Take proposals anywhere in the view, which then comes without a mask: those where nothing moves fail. Otherwise they are
+    /// kept to the parts that move, as published.
+    #[arg(long)]
+    anywhere: bool,
     /// Root of the randomness.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -79,6 +83,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         informed: args.informed,
         randomise: args.randomise,
         clearance: !args.no_clearance,
+        anywhere: args.anywhere,
         ..EvaluateConfig::new(objects(args)?, args.episodes, Seed(args.seed))
     };
     if config.proposals == 0 || config.scenes == 0 {

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use where2act_core::{Policy, Primitive, Proposal, Seed, Trial};
+use where2act_core::{Observation, Policy, Primitive, Proposal, Seed, Trial};
 use where2act_infer::{Error, Options, Predictor};
 use where2act_sim::Mode;
 use where2act_sim::collect::ScenePrep;
@@ -52,26 +52,41 @@ pub(super) fn run(prep: &ScenePrep, primitive: Primitive, policy: Policy, candid
     prep.run(primitive, policy, candidate, Mode::Fast)
 }
 
-/// The network's `count` best proposals at pixels of movable parts, best first, for each of its primitives; with
-/// `clearance`, of hands that have room. None where the network sees none of these pixels.
+/// Which of its proposals a network is asked for.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Wanted {
+    /// So many of the best.
+    pub(crate) count: usize,
+    /// Only hands that have room.
+    pub(crate) clearance: bool,
+    /// Anywhere in the view, which comes without a mask, and not only at pixels of movable parts.
+    pub(crate) anywhere: bool,
+}
+
+/// The network's best proposals, best first, for each of its primitives. There are none where it sees none of the pixels that
+/// may be; what it proposes where nothing moves is `None`.
 pub(crate) fn proposals(
     predictor: &Predictor,
     prep: &ScenePrep,
     sampler: &Sampler<'_>,
-    count: usize,
-    clearance: bool,
+    Wanted { count, clearance, anywhere }: Wanted,
     seed: Seed,
-) -> Result<Vec<Vec<Candidate>>, Error> {
+) -> Result<Vec<Vec<Option<Candidate>>>, Error> {
+    let movable = || prep.view.link.iter().map(|&link| link > 1).collect();
     let options = Options {
         top_k: count,
         candidates: count.max(Options::default().candidates),
         clearance,
         seed,
-        region: Some(prep.view.link.iter().map(|&link| link > 1).collect()),
+        region: (!anywhere).then(movable),
         network_from_metres: Some(1.0),
         ..Options::default()
     };
-    let prediction = match predictor.predict(&prep.view.observation(), &options) {
+    let mut observation = prep.view.observation();
+    if anywhere && let Observation::Image { mask, .. } = &mut observation {
+        *mask = None;
+    }
+    let prediction = match predictor.predict(&observation, &options) {
         Err(Error::Invalid { what: "region", .. }) => {
             return Ok(predictor.config().primitives.iter().map(|_| Vec::new()).collect());
         }
@@ -80,12 +95,12 @@ pub(crate) fn proposals(
     let in_world = |direction: [f32; 3]| prep.view.camera.world_from_camera * Vector3::from(direction);
     let candidate = |p: &Proposal| sampler.at(p.pixel, in_world(p.approach), in_world(p.forward));
     let of_primitives = prediction.primitives.iter();
-    Ok(of_primitives.map(|of| of.proposals.iter().filter_map(candidate).collect()).collect())
+    Ok(of_primitives.map(|of| of.proposals.iter().map(candidate).collect()).collect())
 }
 
-/// Some of these candidates at random, none of them twice.
-pub(super) fn draw(all: &[Candidate], count: usize, seed: Seed) -> Vec<&Candidate> {
-    let mut left: Vec<&Candidate> = all.iter().collect();
+/// Some of these at random, none of them twice.
+pub(super) fn draw<T>(all: &[T], count: usize, seed: Seed) -> Vec<&T> {
+    let mut left: Vec<&T> = all.iter().collect();
     let mut rng = seed.rng();
     let mut drawn = Vec::new();
     while drawn.len() < count && !left.is_empty() {
@@ -171,14 +186,22 @@ mod tests {
         let mut prep = Preparer::new(Recipe::default()).prepare(0).unwrap().unwrap();
         let found = |prep: &ScenePrep| {
             let sampler = Sampler::new(&prep.settled, &prep.view).unwrap();
-            let found = proposals(&predictor, prep, &sampler, 5, false, Seed(1)).unwrap();
-            found.iter().map(Vec::len).collect::<Vec<_>>()
+            let wanted = |anywhere| {
+                let wanted = Wanted { count: 5, clearance: false, anywhere };
+                let found = proposals(&predictor, prep, &sampler, wanted, Seed(1)).unwrap();
+                found.into_iter().flatten().collect::<Vec<_>>()
+            };
+            let [on_parts, anywhere] = [false, true].map(wanted);
+            // One entry per proposal, those where nothing moves included.
+            assert!(anywhere.len() == 10 && on_parts.iter().all(Option::is_some));
+            (on_parts.len(), anywhere.iter().flatten().count())
         };
-        assert_eq!(found(&prep), [5, 5]);
+        let (on_parts, anywhere) = found(&prep);
+        assert!(on_parts == 10 && anywhere > 0);
         // All but one pixel of the parts that move, and not one at their edge, become the part that does not.
         let mut moves: Vec<_> = prep.view.link.iter_mut().filter(|link| **link > 1).collect();
         moves.remove(moves.len() / 2);
         moves.into_iter().for_each(|link| *link = 1);
-        assert_eq!(found(&prep), [0, 0]);
+        assert_eq!(found(&prep), (0, 0));
     }
 }

@@ -21,14 +21,23 @@ pub enum Fate {
     AgainstJoint,
     /// The joint gives that way, but the part moved too little or another way: the hand slipped, or never got hold.
     NoHold,
+    /// It was not on a part that moves, and nobody tried it.
+    NothingMoves,
     /// The simulation left the finite numbers.
     Unstable,
 }
 
 impl Fate {
     /// All of them, as tables list them.
-    pub const ALL: [Fate; 6] =
-        [Self::Success, Self::NoApproach, Self::WrongTouch, Self::AgainstJoint, Self::NoHold, Self::Unstable];
+    pub const ALL: [Fate; 7] = [
+        Self::Success,
+        Self::NoApproach,
+        Self::WrongTouch,
+        Self::AgainstJoint,
+        Self::NoHold,
+        Self::NothingMoves,
+        Self::Unstable,
+    ];
 
     /// Name in tables.
     #[must_use]
@@ -39,6 +48,7 @@ impl Fate {
             Self::WrongTouch => "wrong touch",
             Self::AgainstJoint => "against the joint",
             Self::NoHold => "no hold",
+            Self::NothingMoves => "nothing moves",
             Self::Unstable => "unstable",
         }
     }

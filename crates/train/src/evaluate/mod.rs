@@ -1,7 +1,7 @@
 //! Judging weights in simulation: proposals are executed and counted, beside baselines.
 //!
 //! For every scene and primitive the network's proposals are predicted from the view, at pixels of movable parts only
-//! (as published), and executed: the best ones, and some of all of them. Beside it: random pixels and orientations;
+//! (as published) or anywhere, and executed: the best ones, and some of all of them. Beside it: random pixels and orientations;
 //! random pixels with the approach along the normal; and trials that know the joint. A primitive that no trial with
 //! that knowledge manages in a scene is not counted there, whoever tries it.
 
@@ -22,7 +22,7 @@ use where2act_sim::object::ObjectError;
 use where2act_sim::sampling::{Candidate, Sampler};
 
 pub use contestants::Contestant;
-pub(crate) use contestants::proposals;
+pub(crate) use contestants::{Wanted, proposals};
 pub use fate::Fate;
 pub use report::{Judgement, Report, Row};
 
@@ -50,6 +50,10 @@ pub struct EvaluateConfig {
     ///
     /// [`Options::clearance`]: where2act_infer::Options::clearance
     pub clearance: bool,
+    /// Whether proposals may be anywhere in the view, which then comes without a mask, and fail where nothing moves; otherwise
+    /// they are kept to movable parts, as published.
+    #[serde(default)]
+    pub anywhere: bool,
 }
 
 impl EvaluateConfig {
@@ -65,6 +69,7 @@ impl EvaluateConfig {
             informed: 200,
             randomise: false,
             clearance: true,
+            anywhere: false,
         }
     }
 
@@ -227,7 +232,8 @@ impl Judge<'_> {
         let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(judged(results)) };
         // All there are, one at each candidate, to draw from.
         let count = config.proposals.max(Options::default().candidates);
-        let proposals = proposals(predictor, prep, &sampler, count, config.clearance, seed)
+        let wanted = Wanted { count, clearance: config.clearance, anywhere: config.anywhere };
+        let proposals = proposals(predictor, prep, &sampler, wanted, seed)
             .map_err(|source| EvaluateError::Predict { scene: index, source })?;
         let mut random_trials: Vec<Trial> = Vec::new();
         for ((&primitive, own), result) in primitives.iter().zip(&proposals).zip(&mut results) {
@@ -248,13 +254,14 @@ impl Judge<'_> {
         Ok(judged(results))
     }
 
-    /// Lets every contestant try a primitive; `own` are the network's proposals, best first. Returns the random trials.
+    /// Lets every contestant try a primitive; `own` are the network's proposals, best first, `None` where nothing
+    /// moves. Returns the random trials.
     fn primitive(
         &self,
         prep: &ScenePrep,
         sampler: &Sampler<'_>,
         primitive: Primitive,
-        own: &[Candidate],
+        own: &[Option<Candidate>],
         result: &mut PrimitiveResult,
     ) -> Vec<Trial> {
         let config = self.config;
@@ -265,11 +272,15 @@ impl Judge<'_> {
         // The first few only: trying until success would make the rate look worse than it is.
         let informed: Vec<bool> = informed.iter().take(config.proposals).map(|trial| trial.success).collect();
         let execute = |candidate: &Candidate| contestants::run(prep, primitive, Policy::Adaptive, candidate);
-        let fate = |candidate: &Candidate| Fate::of(&execute(candidate), &prep.info.freedoms);
+        let fate = |candidate: &Option<Candidate>| match candidate {
+            Some(candidate) => Fate::of(&execute(candidate), &prep.info.freedoms),
+            None => Fate::NothingMoves,
+        };
         result.fates = own.par_iter().take(config.proposals).map(fate).collect();
         let best: Vec<bool> = result.fates.iter().map(|fate| *fate == Fate::Success).collect();
         let drawn = contestants::draw(own, config.proposals, seed.child("sampled", 0));
-        let sampled: Vec<bool> = drawn.into_par_iter().map(|c| execute(c).verdict.success).collect();
+        let succeeds = |own: &Option<Candidate>| own.as_ref().is_some_and(|c| execute(c).verdict.success);
+        let sampled: Vec<bool> = drawn.into_par_iter().map(succeeds).collect();
         let random = contestants::random(prep, sampler, primitive, config.random, seed);
         let along = contestants::along_normal(prep, sampler, primitive, config.random, seed);
         result.trials = vec![

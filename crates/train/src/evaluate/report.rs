@@ -93,7 +93,7 @@ impl Report {
             sha256: predictor.model().sha256.clone(),
             config: config.clone(),
             rule: format!(
-                "Candidates are the {2} most actionable pixels of movable parts that keep a distance; {3} proposals at \
+                "Candidates are the {2} most actionable pixels{place} that keep a distance; {3} proposals at \
                  each{room}, the best four of which are scored once more if the network takes a second look; the \
                  best-scored one per pixel. Top-1 is the best of them, top-k the best {0} (one per pixel), \
                  sampled {0} drawn at random from all of them, whatever their score; a scene without any is a failure of \
@@ -104,6 +104,11 @@ impl Report {
                 config.informed,
                 config.proposals.max(options.candidates),
                 options.samples,
+                place = if config.anywhere {
+                    ", of whatever is seen and without a mask (where nothing moves a proposal fails),"
+                } else {
+                    " of movable parts"
+                },
                 room =
                     if config.clearance { ", without hands that have no room by the depth map" } else { "" },
             ),
@@ -229,12 +234,18 @@ impl Report {
             "\nWhat came of the top-k proposals, %. Without a success: the hand came from behind or touched the object \
              before it moved (no approach); it pushed with the palm or at another part first (wrong touch); the part gives \
              in no direction within {:.0} degrees of the one intended (against the joint); it gives, but slipped or went \
-             another way (no hold).\n\n| primitive | tries |",
-            Verdict::MIN_DIRECTION_COSINE.acos().to_degrees()
+             another way (no hold){}.\n\n| primitive | tries |",
+            Verdict::MIN_DIRECTION_COSINE.acos().to_degrees(),
+            if self.config.anywhere {
+                "; the place was not on a part that moves (nothing moves)"
+            } else {
+                ""
+            },
         );
         let of_all = |fate: Fate| self.total.rows.iter().map(move |row| row.count(fate)).sum::<u64>();
+        let rare = [Fate::NothingMoves, Fate::Unstable];
         let shown: Vec<Fate> =
-            Fate::ALL.into_iter().filter(|fate| *fate != Fate::Unstable || of_all(*fate) > 0).collect();
+            Fate::ALL.into_iter().filter(|fate| !rare.contains(fate) || of_all(*fate) > 0).collect();
         for fate in &shown {
             let _ = write!(text, " {} |", fate.name());
         }
