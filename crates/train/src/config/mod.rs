@@ -479,7 +479,14 @@ mod tests {
         names.sort();
         assert_eq!(
             names,
-            ["paper-pushing", "quick-cloud", "where2act-cloud", "where2act-cloud", "where2act-rgb"]
+            [
+                "paper-pushing",
+                "quick-cloud",
+                "where2act-cloud",
+                "where2act-cloud",
+                "where2act-cloud",
+                "where2act-rgb"
+            ]
         );
     }
 }
