@@ -34,6 +34,8 @@ pub struct Progress {
 pub struct State {
     /// What is trained.
     pub learner: Learner,
+    /// The running mean of its weights, if the run keeps one.
+    pub mean: Option<Learner>,
     /// Adam or Muon, and what it remembers.
     pub optimiser: ModuleOptimizer,
     /// Newer trials.
@@ -64,6 +66,7 @@ pub enum CheckpointError {
 }
 
 const LEARNER: &str = "learner.bpk";
+const MEAN: &str = "mean.bpk";
 const OPTIMISER: &str = "optimiser.bpk";
 const REPLAY: &str = "replay.cbor";
 const PROGRESS: &str = "progress.json";
@@ -91,9 +94,12 @@ pub fn save(folder: &Path, state: &State) -> Result<PathBuf, CheckpointError> {
     let partial = tempfile::Builder::new().prefix(PARTIAL).tempdir_in(folder).map_err(io)?;
     // Not a clone: burn keeps the last update of the running statistics apart from the parameters of a network that
     // trains, and shares them between clones.
-    let learner = state.learner.valid().into_record().into_bytes().map_err(|e| damaged(e.to_string()))?;
+    let weights = |learner: Learner| learner.into_record().into_bytes().map_err(|e| damaged(e.to_string()));
     let optimiser = state.optimiser.into_bytes().map_err(|e| damaged(e.to_string()))?;
-    write(&partial.path().join(LEARNER), &learner).map_err(io)?;
+    write(&partial.path().join(LEARNER), &weights(state.learner.valid())?).map_err(io)?;
+    if let Some(mean) = state.mean.clone() {
+        write(&partial.path().join(MEAN), &weights(mean)?).map_err(io)?;
+    }
     write(&partial.path().join(OPTIMISER), &optimiser).map_err(io)?;
     let mut replay = Vec::new();
     ciborium::into_writer(&state.replay, &mut replay).map_err(|e| damaged(e.to_string()))?;
@@ -162,15 +168,18 @@ pub fn list(folder: &Path) -> std::io::Result<Vec<PathBuf>> {
 pub fn load(path: &Path, fresh: State) -> Result<State, CheckpointError> {
     let damaged = |name: &str, why: String| CheckpointError::Damaged { path: path.join(name), why };
     let (replay, progress) = without_weights(path)?;
-    let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(read(path, LEARNER)?))
-        .map_err(|e| damaged(LEARNER, e.to_string()))?;
-    let learner = fresh.learner.valid().try_load_record(record);
-    let learner = learner.map_err(|e| damaged(LEARNER, e.to_string()))?.train();
+    let weights = |fresh: Learner, name: &str| {
+        let record = ModuleRecord::from_bytes(Bytes::from_bytes_vec(read(path, name)?))
+            .map_err(|e| damaged(name, e.to_string()))?;
+        fresh.try_load_record(record).map_err(|e| damaged(name, e.to_string()))
+    };
+    let learner = weights(fresh.learner.valid(), LEARNER)?.train();
+    let mean = fresh.mean.map(|mean| weights(mean, MEAN)).transpose()?;
     let optimiser = fresh
         .optimiser
         .from_bytes(Bytes::from_bytes_vec(read(path, OPTIMISER)?))
         .map_err(|e| damaged(OPTIMISER, e.to_string()))?;
-    Ok(State { learner, optimiser, replay, progress })
+    Ok(State { learner, mean, optimiser, replay, progress })
 }
 
 /// The newer trials of a checkpoint and where its run stood, without its weights.

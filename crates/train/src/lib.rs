@@ -16,6 +16,7 @@ mod config;
 mod curves;
 mod dataset;
 pub mod evaluate;
+mod mean;
 pub mod metrics;
 mod muon;
 pub mod probes;

@@ -53,6 +53,7 @@ fn config(modality: Modality) -> TrainConfig {
             score_steps: 0,
             joint_steps: 1,
             epoch_steps: 1,
+            mean_steps: 0,
             optimiser: Default::default(),
             rate: 1e-3,
             trial_rate: None,

@@ -9,6 +9,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
+use burn::module::Module;
 use burn::optim::AdamConfig;
 use burn::tensor::Device;
 use rand::RngExt;
@@ -37,6 +38,7 @@ trials_per_view = 16
 score_steps = 8
 joint_steps = 22
 epoch_steps = 5
+mean_steps = 4
 [loss]
 proposals = 8
 motion = 1.0
@@ -104,22 +106,23 @@ fn newest_checkpoint(run: &Path) -> PathBuf {
     entries.map(|e| e.unwrap().path()).max().unwrap()
 }
 
-/// What the network is after the last step. Not the files' bytes: burn numbers parameters at random in every run.
-fn last_tensors(run: &Path) -> BTreeMap<String, StoredTensor> {
+/// What the network is after the last step, and the mean of the last steps. Not the files' bytes: burn numbers parameters at
+/// random in every run.
+fn last_tensors(run: &Path) -> [BTreeMap<String, StoredTensor>; 2] {
     let device = Device::flex();
     let config = Weights::load(&run.join("weights"), &device).unwrap().network.config().clone();
     let network = Network::new(&config, Seed(0), &device.autodiff());
+    let loss = LossConfig { motion: 1.0, normal: 1.0, ..LossConfig::default() };
+    let learner = Learner::new(network, &loss, Seed(0));
     let fresh = State {
-        learner: Learner::new(
-            network,
-            &LossConfig { motion: 1.0, normal: 1.0, ..LossConfig::default() },
-            Seed(0),
-        ),
+        mean: Some(learner.valid()),
+        learner,
         optimiser: AdamConfig::new().init(),
         replay: Replay::new(10),
         progress: Progress::default(),
     };
-    checkpoint::load(&newest_checkpoint(run), fresh).unwrap().learner.network.tensors().by_name
+    let state = checkpoint::load(&newest_checkpoint(run), fresh).unwrap();
+    [state.learner, state.mean.unwrap()].map(|learner| learner.network.tensors().by_name)
 }
 
 #[test]

@@ -61,6 +61,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             score_steps,
             joint_steps,
             epoch_steps: 6,
+            mean_steps: 0,
             optimiser: Default::default(),
             rate: 3e-3,
             trial_rate: None,

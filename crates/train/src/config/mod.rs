@@ -144,6 +144,11 @@ pub struct ScheduleConfig {
     pub joint_steps: usize,
     /// Steps of one epoch: after each one comes validation, a checkpoint and, if enabled, adaptive sampling.
     pub epoch_steps: usize,
+    /// Steps with all heads whose weights are averaged, the last ones most: what is validated, saved and explored with is the
+    /// running mean `mean + (newest - mean) / mean_steps`, of fewer steps before there are so many. 0 = the newest weights (the
+    /// paper).
+    #[serde(default, skip_serializing_if = "no_steps")]
+    pub mean_steps: usize,
     /// What turns gradients into steps: Adam unless said otherwise. Steps of both are about as large, so `rate` may stay.
     #[serde(default, skip_serializing_if = "Optimiser::is_adam")]
     pub optimiser: Optimiser,
@@ -198,6 +203,10 @@ pub struct LossConfig {
     pub motion: f32,
     /// Squared error of the surface's normal that the network's features tell. 0 = not asked (the paper).
     pub normal: f32,
+}
+
+fn no_steps(steps: &usize) -> bool {
+    *steps == 0
 }
 
 fn is_zero(number: &f32) -> bool {

@@ -29,9 +29,11 @@ use report::{card, number, report};
 use crate::adaptive;
 use crate::batch::{Batch, Source};
 use crate::checkpoint::{self, Progress, State};
-use crate::config::{BatchConfig, TrainConfig};
+use crate::config::{BatchConfig, ScheduleConfig, TrainConfig};
 use crate::curves;
 use crate::dataset::{Dataset, SceneId, spread};
+use crate::mean::towards;
+use crate::probes::Learner;
 use crate::replay::Replay;
 use crate::split::Part;
 use crate::start::{first_trials, first_weights, optimiser, random_weights, with_scan_radius};
@@ -95,6 +97,7 @@ pub fn train<'a>(
         None => first_weights(config, &model, &learning)?,
     };
     let fresh = State {
+        mean: (config.schedule.mean_steps > 0).then(|| learner.valid()),
         learner,
         optimiser: optimiser(config),
         replay: Replay::default(),
@@ -237,6 +240,7 @@ impl Run<'_> {
             secs.backward = lap();
             let learner = self.state.learner.clone();
             self.state.learner = self.state.optimiser.step(rate, learner, gradients);
+            self.state.mean = self.state.mean.take().map(|mean| self.mean_after(step, mean));
             secs.optimiser = lap();
         }
         self.state.progress.step = step + 1;
@@ -246,9 +250,17 @@ impl Run<'_> {
         Ok(())
     }
 
+    /// The mean of the weights after each of the last steps with all heads, the newest of all if this is none of them.
+    fn mean_after(&self, step: usize, mean: Learner) -> Learner {
+        let ScheduleConfig { look_steps, score_steps, mean_steps, .. } = self.config.schedule;
+        let steps = (step + 1).saturating_sub(look_steps + score_steps).clamp(1, mean_steps);
+        towards(mean, &self.state.learner.valid(), 1.0 / steps as f64)
+    }
+
     fn end_epoch(&mut self, epoch: usize) -> Result<(), TrainError> {
         self.check_weights()?;
-        let network = self.state.learner.network.clone().valid();
+        let learner = self.state.mean.clone().unwrap_or_else(|| self.state.learner.valid());
+        let network = learner.network.clone();
         let seed = self.config.root_seed();
         let phase = self.config.phase(self.state.progress.step - 1);
         let joint = phase == Phase::Joint;
@@ -260,7 +272,7 @@ impl Run<'_> {
             .then(|| score_scenes(&network, &self.dataset, &scenes, seed))
             .transpose()?;
         let judged = scored.as_ref().map(|scored| Validation::new(&network, scored));
-        let ways = self.ways(seed)?;
+        let ways = self.ways(&learner, seed)?;
         self.log(&serde_json::json!({ "step": step, "epoch": epoch, "validation": judged, "ways": ways }))?;
         let validation = judged.unwrap_or_default();
         // Proposals and actionability are learnt in the joint phase alone: weights of the phases before cannot be used.
@@ -298,8 +310,7 @@ impl Run<'_> {
     }
 
     /// How much the ways that points of validation scenes can go differ from those the features tell.
-    fn ways(&self, seed: Seed) -> Result<Option<f32>, TrainError> {
-        let learner = self.state.learner.clone().valid();
+    fn ways(&self, learner: &Learner, seed: Seed) -> Result<Option<f32>, TrainError> {
         if learner.network.heads.motion.is_none() || self.config.loss.motion == 0.0 {
             return Ok(None);
         }
@@ -310,7 +321,7 @@ impl Run<'_> {
         let mut sum = 0.0;
         for step in 0..batches {
             let batch = source.batch(step)?;
-            let losses = forward(&learner, &batch, Phase::Look, &self.config.loss, &mut seed.rng());
+            let losses = forward(learner, &batch, Phase::Look, &self.config.loss, &mut seed.rng());
             sum += losses.motion.as_ref().map_or(0.0, number);
         }
         Ok(Some(sum / batches as f32))
