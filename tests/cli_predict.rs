@@ -237,6 +237,39 @@ fn weights_that_are_missing_cost_those_alone_who_need_them() {
 }
 
 #[test]
+fn an_npy_with_a_camera_is_a_depth_map() {
+    let bench = Bench::new();
+    let mut bytes = Vec::new();
+    let row = |_: usize, row: &mut [f32]| row.fill(1.5);
+    where2act_infer::write::write_npy_grid(&mut bytes, (60, 80), row).unwrap();
+    std::fs::write(bench.path("depth.npy"), bytes).unwrap();
+    let kind = |args: &[&str]| {
+        let run = bench.predict(args).args(["--json", "--primitive", "pulling"]).assert().success();
+        let input = parse_line(&run.get_output().stdout).input;
+        (input.kind, input.width, input.height)
+    };
+    assert_eq!(kind(&["depth.npy", "--fov", "40"]), ("depth".to_owned(), 80, 60));
+    // Without one its rows are points, of which the first three numbers count.
+    let refused = bench.predict(&["depth.npy", "--json"]).assert().failure().code(2);
+    let stderr = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    assert!(stderr.contains("depth.npy"), "{stderr}");
+}
+
+#[test]
+fn only_an_earlier_prediction_is_replaced() {
+    let bench = Bench::new();
+    std::fs::create_dir(bench.path("out")).unwrap();
+    std::fs::write(bench.path("out/sheet.png"), b"mine").unwrap();
+    let args = ["picture.png", "--out", "out", "--primitive", "pulling"];
+    bench.predict(&args).arg("--no-pictures").assert().success();
+    assert_eq!(std::fs::read(bench.path("out/sheet.png")).unwrap(), b"mine");
+    bench.predict(&args).assert().success();
+    assert!(image::open(bench.path("out/sheet.png")).is_ok());
+    bench.predict(&args).arg("--no-pictures").assert().success();
+    assert!(!bench.path("out/sheet.png").exists() && bench.path("out/map_pulling.npy").exists());
+}
+
+#[test]
 fn a_pixel_is_answered_with_what_can_be_done_there() {
     let bench = Bench::new();
     let args = ["picture.png", "--pixel", "31,77", "--primitive", "pulling", "--top-k", "4", "--json"];
@@ -254,6 +287,14 @@ fn refusals_are_one_line_that_names_the_culprit() {
     std::fs::write(bench.path("broken.jpg"), b"\xff\xd8\xff\xe0 not a picture").unwrap();
     std::fs::write(bench.path("empty.ply"), b"").unwrap();
     std::fs::write(bench.path("notes.txt"), b"hello").unwrap();
+    // TIFF, little-endian, one entry: orientation (0x0112), short, 1 value, 3 = upside down.
+    let exif =
+        [b"II*\0\x08\0\0\0".as_slice(), &[1, 0, 0x12, 1, 3, 0, 1, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0]].concat();
+    let mut bytes = Vec::new();
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut bytes);
+    image::ImageEncoder::set_exif_metadata(&mut encoder, exif).unwrap();
+    encoder.encode_image(&image::RgbImage::new(160, 120)).unwrap();
+    std::fs::write(bench.path("turned.jpg"), bytes).unwrap();
     // Without contents on the disk, and refused without being read.
     std::fs::File::create(bench.path("huge.png")).unwrap().set_len(600 << 20).unwrap();
     std::fs::create_dir(bench.path("nothing")).unwrap();
@@ -279,6 +320,9 @@ fn refusals_are_one_line_that_names_the_culprit() {
         (&["scan.ply", "--engine", "burn", "--precision", "bf16"], &["--precision", "bf16", "--engine fast"]),
         (&["scan.ply", "--device", "flex", "--precision", "bf16"], &["--precision", "bf16", "--engine fast"]),
         (&["scan.ply", "--object-scale", "-1"], &["object-scale", "-1"]),
+        (&["scan.ply", "--fov", "40"], &["--fov", "found a scan"]),
+        (&["turned.jpg", "--depth", "depth.png", "--fov", "40"], &["turned.jpg", "EXIF"]),
+        (&["turned.jpg", "--intrinsics", "150,150,80,60"], &["turned.jpg", "EXIF"]),
     ];
     for (args, expected) in cases {
         let run = bench.predict(args).args(["--json"]).assert().failure().code(2).stdout("");

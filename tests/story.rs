@@ -93,6 +93,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             score_steps: 2,
             joint_steps: 4,
             epoch_steps: 3,
+            mean_steps: 0,
             optimiser: Default::default(),
             rate: 1e-3,
             trial_rate: None,
@@ -199,7 +200,7 @@ fn predict_example(predictor: &Predictor, modality: Modality) {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
     let observation = match modality {
         Modality::Rgb => {
-            let Picture { size, rgb } = read_picture(&examples.join("cabinet.png")).unwrap();
+            let Picture { size, rgb, .. } = read_picture(&examples.join("cabinet.png")).unwrap();
             Observation::Image { size, rgb: Some(rgb), depth: None, intrinsics: None, mask: None }
         }
         Modality::Cloud => {

@@ -2,8 +2,8 @@
 
 use serde::Serialize;
 
-/// Shape and drives of the hand. The hand frame's origin is the Panda hand's mounting flange; z points along the
-/// fingers, y along their motion.
+/// Shape and drives of the hand. The hand frame is that of `panda_hand` in Franka's URDF: its origin is where the hand is
+/// mounted; z points along the fingers, y along their motion.
 ///
 /// The boxes bound the Panda's collision meshes, whose convex hulls the published trials use; the narrow finger tips
 /// decide which part of the hand touches first when the approach is oblique. The drive gains are those of the

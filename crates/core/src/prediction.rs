@@ -83,7 +83,8 @@ pub struct Proposal {
     /// Pixel of the input; for scans, `u` is the point's index and `v` 0.
     pub pixel: Pixel,
     /// Contact point; `None` without depth. Where a picture's pixel has none, that of the object's nearest pixel with depth,
-    /// at most 4 columns and rows away.
+    /// at most 4 columns and rows away; `None` too if there is no such pixel, which only happens where one pixel was asked for
+    /// or all that may be proposed at lie in holes of the depth map. Such hands are not checked for room.
     pub point: Option<[f32; 3]>,
     /// The hand's z axis.
     pub approach: [f32; 3],
@@ -93,9 +94,9 @@ pub struct Proposal {
     pub rotation: [[f32; 3]; 3],
     /// The same rotation.
     pub quaternion_xyzw: [f32; 4],
-    /// Hand pose at the start of the primitive, 4x4 by rows; `None` without depth.
+    /// Hand pose at the start of the primitive, 4x4 by rows; `None` without a contact point.
     pub hand_pose: Option<[[f32; 4]; 4]>,
-    /// Hand poses to visit, the start included; empty without depth.
+    /// Hand poses to visit, the start included; empty without a contact point.
     pub waypoints: Vec<[[f32; 4]; 4]>,
     /// Opening of the fingers at the start, metres.
     pub gripper_width: f32,

@@ -19,7 +19,7 @@ fn main() -> Result<(), Error> {
         println!("frame {frame}: opening the fingers to {} m, score {:.2}", best.gripper_width, best.score);
         for (i, camera_from_hand) in best.waypoints.iter().enumerate() {
             let [x, y, z] = [0, 1, 2].map(|axis| camera_from_hand[axis][3]);
-            println!("  drive the hand's flange to {x:.3} {y:.3} {z:.3}");
+            println!("  drive the hand's frame (panda_hand) to {x:.3} {y:.3} {z:.3}");
             if best.close_at == Some(i) {
                 println!("  close the fingers");
             }

@@ -36,15 +36,18 @@
 //! ```text
 //!     camera (optical)                        hand
 //!
-//!          z (into the picture)                          z  approach, along the fingers
-//!         /                                    _____    /
-//!        /                                    |     |==/===   finger
-//!       o-----> x (right, as u)        y <----|  o  |
-//!       |                              left   |__|__|======   finger
-//!       |                                        |
-//!       v                                        v x  forward
-//!     y (down, as v)                    o: the mounting flange, 0.112 m behind the finger tips
+//!          z (into the picture)                y  left: the fingers open along it
+//!         /                                    ^  _____
+//!        /                                     | |     |======   finger
+//!       o-----> x (right, as u)                o-|- - -|- - - -> z  approach, along the fingers
+//!       |                                        |_____|======   finger
+//!       |
+//!       v                               x, forward, points into the page
+//!     y (down, as v)                    o: where the hand is mounted, 0.112 m behind the finger tips
 //! ```
+//!
+//! This is the frame of the link `panda_hand` in Franka's URDF. The flange itself, `panda_link8`, has the same origin and is
+//! turned by 45 degrees about z.
 //!
 //! In pictures the corner of the first pixel is at (0, 0), its centre at (0.5, 0.5), and [`where2act_core::Intrinsics`] go by
 //! that. In OpenCV and ROS the centre is at (0, 0): add 0.5 to `cx` and `cy` of a camera that was calibrated there.
@@ -116,3 +119,4 @@ pub use error::{Error, Malformed, ReadError};
 pub use options::Options;
 pub use predictor::{Output, Predictor};
 pub use weights::find_weights;
+pub use where2act_model::{Modality, ModelConfig, Weights};

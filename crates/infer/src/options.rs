@@ -13,7 +13,8 @@ pub struct Options {
     pub top_k: usize,
     /// Orientations to try at every candidate. Published: 100.
     pub samples: usize,
-    /// Candidate pixels per primitive: the most actionable ones that keep a distance. Default: 32.
+    /// Candidate pixels per primitive: the most actionable ones that keep a distance; more if `top_k` proposals need them.
+    /// Default: 32.
     pub candidates: usize,
     /// Proposals to return per pixel, at least [`Options::MIN_ANGLE`] apart. Default: 1, or `top_k` with `pixel`.
     pub per_pixel: Option<usize>,
@@ -47,6 +48,11 @@ impl Options {
     /// Proposals at one pixel, at most.
     pub(crate) fn proposals_per_pixel(&self) -> usize {
         self.per_pixel.unwrap_or(if self.pixel.is_some() { self.top_k } else { 1 })
+    }
+
+    /// Candidates to look at: those asked for, and no fewer than `top_k` proposals need.
+    pub(crate) fn candidates_at_least(&self) -> usize {
+        self.candidates.max(self.top_k.div_ceil(self.proposals_per_pixel().max(1)))
     }
 
     /// Checks every number.

@@ -213,7 +213,7 @@ impl Predictor {
         let value = |row: u32| values.get(row as usize).copied().unwrap_or(0.0);
         let candidates: Vec<u32> = match prepared.asked_row {
             Some(row) => vec![row],
-            None => prepared.places.best(logit, options.candidates),
+            None => prepared.places.best(logit, options.candidates_at_least()),
         };
         let places: Vec<_> = candidates.iter().map(|&row| prepared.place(row)).collect();
         let room = |place: &Place| if options.clearance { prepared.room(place, primitive) } else { None };

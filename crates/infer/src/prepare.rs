@@ -94,8 +94,14 @@ impl<'a> Prepared<'a> {
             |source: &Pixel| in_region(options, size.index(*source)) && on_object(observation, *source);
         let at = |p: Pixel| (network.index(p) as u32, [p.u as f32, p.v as f32, 0.0]);
         let distance = PIXEL_DISTANCE * side as f32;
-        let on = pixels(network).filter(|p| letterbox.to_source(*p).as_ref().is_some_and(wanted));
-        let mut places = Places::new(on.map(at), distance);
+        let source = |p: Pixel| letterbox.to_source(p).filter(wanted).map(|source| (p, source));
+        let on: Vec<(Pixel, Pixel)> = pixels(network).filter_map(source).collect();
+        // Where a depth map has a hole, nobody knows how far to go and whether the hand has room.
+        let depth = DepthView::of(observation);
+        let measured = |at: &(Pixel, Pixel)| depth.is_none_or(|depth| depth.contact(at.1).is_some());
+        let reachable: Vec<(Pixel, Pixel)> = on.iter().copied().filter(measured).collect();
+        let on = if reachable.is_empty() { on } else { reachable };
+        let mut places = Places::new(on.into_iter().map(|(p, _)| at(p)), distance);
         let mut details = BTreeMap::new();
         if places.rows().is_empty() {
             // No pixel of the network has in its middle what is wanted: those around it stand for it.
@@ -117,7 +123,7 @@ impl<'a> Prepared<'a> {
             geometry: Geometry::Grid(letterbox),
             pixels: Vec::new(),
             details,
-            depth: DepthView::of(observation),
+            depth,
             surface: None,
             network_from_metres: 1.0,
         })
@@ -126,8 +132,13 @@ impl<'a> Prepared<'a> {
     fn scan(observation: &'a Observation, config: &ModelConfig, options: &Options) -> Result<Self, Error> {
         let scale = options.network_from_metres.map_or(CloudScale::Trained, CloudScale::PerMetre);
         let mut rng = options.seed.child("scan points", 0).rng();
-        let (input, seen) =
+        let (mut input, seen) =
             CloudInput::from_observation(observation, scale, config, &mut rng).map_err(unusable)?;
+        let none =
+            |p: Pixel| Error::invalid("pixel", "one of the object, with depth", format!("{},{}", p.u, p.v));
+        let asked = options.pixel.map(|p| observation.point_at(p).ok_or_else(|| none(p))).transpose()?;
+        // The network sees some thousand points: the one that was asked for takes the nearest one's place among them.
+        let asked_row = asked.and_then(|point| input.move_nearest_to(&point)).map(|row| row as u32);
         let in_metres = |xyz: &[f32; 3]| input.metres_from_network(&Point3::from(*xyz));
         let xyz = input.xyz.as_chunks().0;
         let index = NearestIndex::new(xyz.iter().map(in_metres).collect());
@@ -148,10 +159,6 @@ impl<'a> Prepared<'a> {
         if places.rows().is_empty() && options.pixel.is_none() {
             return Err(Error::invalid("region", "one of the points that the network sees", "none"));
         }
-        let none =
-            |p: Pixel| Error::invalid("pixel", "one of the object, with depth", format!("{},{}", p.u, p.v));
-        let asked = options.pixel.map(|p| observation.point_at(p).ok_or_else(|| none(p))).transpose()?;
-        let asked_row = asked.and_then(|point| index.nearest::<1>(&point).first().map(|n| n.0));
         Ok(Self {
             network_from_metres: input.scale,
             input: NetworkInput::Cloud(input),
@@ -248,7 +255,9 @@ fn no_intrinsics() -> Error {
 }
 
 fn check(observation: &Observation) -> Result<(), Error> {
-    let Observation::Image { size, rgb, depth, intrinsics, mask } = observation else { return Ok(()) };
+    let Observation::Image { size, rgb, depth, intrinsics, mask } = observation else {
+        return check_scan(observation);
+    };
     let buffers = [
         ("rgb", rgb.as_ref().map(Vec::len)),
         ("depth", depth.as_ref().map(Vec::len)),
@@ -274,6 +283,19 @@ fn check(observation: &Observation) -> Result<(), Error> {
         }
         None => Ok(()),
     }
+}
+
+/// A camera sees nothing behind itself: a scan there is in another frame.
+fn check_scan(observation: &Observation) -> Result<(), Error> {
+    let Observation::Cloud { points } = observation else { return Ok(()) };
+    let measured = points.iter().filter(|point| is_measured(point));
+    let (seen, behind) =
+        measured.fold((0, 0), |(seen, behind), p| (seen + 1, behind + usize::from(p.z <= 0.0)));
+    if 2 * behind <= seen {
+        return Ok(());
+    }
+    let expected = "points in a camera's optical frame (x right, y down, z forward)";
+    Err(Error::invalid("observation", expected, format!("{behind} of {seen} behind the camera, at z <= 0")))
 }
 
 /// Whether proposals may be at this position of the input's buffers.

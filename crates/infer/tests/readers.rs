@@ -142,6 +142,7 @@ fn exif_turns_pictures_upright() {
     encoder.set_exif_metadata(exif).unwrap();
     encoder.encode_image(&sideways).unwrap();
     let read = parse_picture(&bytes).unwrap();
+    assert!(read.turned);
     assert_eq!((read.size.width, read.size.height), (16, 32));
     let [upper, lower] = [read.rgb[8 * 16 + 8], read.rgb[24 * 16 + 8]];
     assert!(upper[0] > 200 && lower[2] > 200, "left becomes up: {upper:?} {lower:?}");

@@ -21,6 +21,9 @@ pub struct Picture {
     pub size: ImageSize,
     /// sRGB, row-major.
     pub rgb: Vec<[u8; 3]>,
+    /// Whether its EXIF block had it turned or mirrored: a depth map and the intrinsics are those of the sensor, as which the
+    /// picture is not any more.
+    pub turned: bool,
 }
 
 /// Distances along the optical axis.
@@ -63,7 +66,8 @@ pub fn parse_picture(bytes: &[u8]) -> Result<Picture, Malformed> {
     upright.apply_orientation(orientation);
     let upright = upright.into_rgb8();
     let size = ImageSize { width: upright.width() as usize, height: upright.height() as usize };
-    Ok(Picture { size, rgb: upright.as_raw().as_chunks().0.to_vec() })
+    let turned = orientation != Orientation::NoTransforms;
+    Ok(Picture { size, rgb: upright.as_raw().as_chunks().0.to_vec(), turned })
 }
 
 /// Decodes a 16-bit greyscale png into metres.

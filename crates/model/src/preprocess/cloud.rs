@@ -147,6 +147,15 @@ impl CloudInput {
         nearest.into_iter().map(|[first, ..]| first as usize).collect()
     }
 
+    /// Puts the nearest of the network's points at a point of the scan's frame, metres, so that there are features right there:
+    /// which one it was. [`Self::source`] goes on to name what it was before.
+    pub fn move_nearest_to(&mut self, point: &Point3<f32>) -> Option<usize> {
+        let row = self.nearest(std::slice::from_ref(point)).first().copied()?;
+        let there = <[f32; 3]>::from(self.network_from_metres(point));
+        self.xyz.as_chunks_mut().0.get_mut(row).map(|xyz| *xyz = there)?;
+        Some(row)
+    }
+
     /// Neighbourhoods of a batch for a network, with features wanted at `targets[i]` of input i: points in network
     /// units, three numbers each.
     #[must_use]

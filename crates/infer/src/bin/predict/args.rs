@@ -23,7 +23,8 @@ Examples:
 Scores rank proposals: higher is better. A score is not the share of tries that succeed.
 
 Directions and poses are in the camera's optical frame: x right, y down, z forward, metres. The hand's z axis is
-the approach, its x axis is forward. Without depth there are directions, but no points and poses.
+the approach, its x axis is forward, and the fingers open along y. Without depth there are directions, but no points and
+poses. Scans are in the same frame: a camera at (0, 0, 0) looks along z.
 
 With --depth, the picture decides; the depth gives points in metres and leaves out hands without room. A depth map or
 scan alone is centred and, if its object is smaller or larger than those seen in training, scaled for the network;
@@ -33,7 +34,8 @@ scan alone is centred and, if its object is smaller or larger than those seen in
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// Pictures (png, jpg, webp), depth maps (16-bit grey png), scans (ply, pcd, npy), or folders of these.
+    /// Pictures (png, jpg, webp), depth maps (16-bit grey png, or npy [height, width] with --intrinsics or --fov), scans (ply,
+    /// pcd, or npy [points, 3 or more]; in the camera's optical frame, metres), or folders of these.
     #[arg(required = true)]
     pub(crate) input: Vec<PathBuf>,
     /// Depth map of the picture: 16-bit grey png, or npy [height, width] in metres.
@@ -67,7 +69,7 @@ pub(crate) struct Args {
     /// Orientations tried at every candidate.
     #[arg(long, value_name = "N", default_value_t = 100)]
     samples: usize,
-    /// Candidate pixels per primitive.
+    /// Candidate pixels per primitive; more if --top-k needs them.
     #[arg(long, value_name = "N", default_value_t = 32)]
     candidates: usize,
     /// Leave out proposals with a lower score.
@@ -89,7 +91,8 @@ pub(crate) struct Args {
     /// Weights folder, or a folder with rgb/ and cloud/. Default: weights/ of the working directory or workspace.
     #[arg(long, value_name = "DIR")]
     pub(crate) weights: Option<PathBuf>,
-    /// Folder for the results; several inputs get a folder each in it. Default: predictions/NAME (none with --json).
+    /// Folder for the results; several inputs get a folder each in it. An earlier prediction in it is replaced. Default:
+    /// predictions/NAME (none with --json).
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the prediction as JSON, one line per input.
@@ -201,6 +204,11 @@ impl Args {
             network_from_metres: if self.keep_scale { Some(1.0) } else { self.object_scale },
             ..Options::default()
         }
+    }
+
+    /// Whether a camera is described.
+    pub(crate) fn has_camera(&self) -> bool {
+        self.fov.is_some() || self.given_intrinsics().is_some()
     }
 
     /// The intrinsics given as such; a field of view needs the picture's size.

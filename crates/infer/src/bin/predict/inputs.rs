@@ -21,7 +21,14 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
     let input = |path: PathBuf, kind| {
         // With a depth map of its own even a 16-bit grey picture is a picture.
         let own = args.depth.is_some() && kind == FileKind::Depth;
-        Input { path, kind: if own { FileKind::Picture } else { kind } }
+        // A scan needs no camera: an npy with one is a depth map.
+        let grid = args.has_camera() && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy"));
+        let kind = match kind {
+            _ if own => FileKind::Picture,
+            _ if grid => FileKind::Depth,
+            kind => kind,
+        };
+        Input { path, kind }
     };
     for given in &args.input {
         if given.is_dir() {
@@ -56,6 +63,9 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
             bail!("{flag}: expected a picture or depth map as input, found a scan");
         }
     }
+    if args.has_camera() && inputs.len() == 1 && inputs.iter().all(|i| i.kind == FileKind::Scan) {
+        bail!("--intrinsics, --fov: expected a picture or depth map as input, found a scan");
+    }
     Ok(inputs)
 }
 
@@ -82,6 +92,13 @@ impl Input {
             FileKind::Picture => {
                 let picture = read_picture(&self.path)?;
                 let size = picture.size;
+                if picture.turned && (args.depth.is_some() || args.given_intrinsics().is_some()) {
+                    bail!(
+                        "{}: expected the sensor's own picture beside --depth or --intrinsics, found one that its EXIF \
+                         block turns",
+                        self.path.display()
+                    );
+                }
                 let depth = match &args.depth {
                     None => None,
                     Some(path) => {

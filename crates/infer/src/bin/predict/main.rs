@@ -19,6 +19,9 @@ use where2act_model::Modality;
 use args::Args;
 use inputs::Input;
 
+/// Scaled down by more than this an object would be some 100 m wide, if its numbers were metres.
+const HUGE: f32 = 0.02;
+
 fn main() -> ExitCode {
     program::run("predict", "warn", |args: Args| run(&args))
 }
@@ -66,6 +69,9 @@ fn run(args: &Args) -> Result<()> {
             }
         };
         output.prediction.input.source = input.path.display().to_string();
+        if output.prediction.input.network_from_metres < HUGE && options.network_from_metres.is_none() {
+            tracing::warn!("{}: expected metres, found an object larger than a house", input.path.display());
+        }
         if let Some(folder) = folder {
             results::write(folder, &observation, &mut output, args.no_pictures)?;
         }

@@ -47,8 +47,13 @@ pub(crate) fn write(
     save(&folder.join("prediction.json"), |to| to.write_all(&json))
 }
 
-/// Removes an earlier prediction, its JSON first.
+/// Removes an earlier prediction, its JSON first; without a JSON of ours, nothing: other files may have such names too.
 fn forget(folder: &Path) -> Result<()> {
+    let ours = std::fs::read(folder.join("prediction.json"))
+        .is_ok_and(|json| serde_json::from_slice::<Prediction>(&json).is_ok());
+    if !ours {
+        return Ok(());
+    }
     let of_one = Primitive::ALL.map(|primitive| {
         let name = primitive.name();
         [format!("map_{name}.npy"), format!("overlay_{name}.png"), format!("cloud_{name}.ply")]
