@@ -70,13 +70,15 @@ pub fn explore(
         let id = scenes[scene];
         let shard = &dataset.shards()[id.shard];
         let info = &shard.scenes()[id.scene];
-        let prep = preparers[dataset.folder_of(id.shard)].restore(info)?;
+        let preparer = &preparers[dataset.folder_of(id.shard)];
+        // As those that were collected: another mode ends one or two trials in a hundred otherwise.
+        let (prep, mode) = (preparer.restore(info)?, preparer.recipe().mode());
         let others = prep.view.link.iter().zip(shard.link(id.scene)).filter(|(made, seen)| made != seen);
         if others.count() as f32 > OTHER_PIXELS * prep.view.link.len() as f32 {
             return Err(CollectError::Foreign { scene: info.index, object: info.object.clone() }.into());
         }
         let turns = Turns::new(config, predictor.config().primitives.len(), i);
-        let trials = explore_scene(&predictor, &prep, &turns, seed.child("scene", i as u64))?;
+        let trials = explore_scene(&predictor, &prep, &turns, mode, seed.child("scene", i as u64))?;
         progress();
         Ok((id, trials))
     };
@@ -111,6 +113,7 @@ fn explore_scene(
     predictor: &Predictor,
     prep: &ScenePrep,
     turns: &Turns,
+    mode: Mode,
     seed: Seed,
 ) -> Result<Vec<Trial>, ExploreError> {
     let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(Vec::new()) };
@@ -132,7 +135,7 @@ fn explore_scene(
         }
         chosen.extend(own.into_iter().take(count).map(|c| (primitive, Policy::Adaptive, c)));
     }
-    let run = |(primitive, policy, candidate)| prep.run(primitive, policy, &candidate, Mode::Fast);
+    let run = |(primitive, policy, candidate)| prep.run(primitive, policy, &candidate, mode);
     Ok(chosen.into_iter().map(run).collect())
 }
 

@@ -1,6 +1,7 @@
 //! Where a run stands, on disk, so that it can go on exactly there.
 
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use burn::module::{Module, ModuleVisitor, Param};
@@ -141,8 +142,9 @@ fn discard(path: &Path) -> std::io::Result<()> {
 }
 
 fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    fs::write(path, bytes)?;
-    fs::File::open(path)?.sync_all()
+    let mut file = fs::File::create(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
 }
 
 /// Checkpoints of a run, the oldest first.

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
 use statrs::statistics::{Data, OrderStatistics};
 
-/// Share of successes with a 95 % Wilson interval (Wilson, 1927), which stays sensible for few trials and for rates
-/// near 0 and 1.
+/// Share of successes with a 95 % Wilson interval (Wilson, 1927), which stays sensible for few tries and for rates near 0 and
+/// 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Rate {
     /// Successes.
@@ -24,14 +24,36 @@ pub struct Rate {
 }
 
 impl Rate {
-    /// From counts.
+    /// From counts of tries that have nothing to do with each other.
     #[must_use]
     pub fn new(successes: u64, tries: u64) -> Self {
+        Self::worth(successes, tries, tries as f64)
+    }
+
+    /// From (successes, tries) of each of some objects. Tries on one object end alike, so that all of them together are worth
+    /// fewer that have nothing to do with each other: as many as would let the rate vary as much as it does from object to
+    /// object (the design effect; Kish, 1965), and no more than there are. Where all end the same way, one each object.
+    #[must_use]
+    pub fn of_objects(objects: &[[u64; 2]]) -> Self {
+        let objects = objects.iter().filter(|[_, tries]| *tries > 0);
+        let [successes, tries] = objects.clone().fold([0, 0], |a, b| [a[0] + b[0], a[1] + b[1]]);
+        let (count, n) = (objects.clone().count() as f64, tries as f64);
+        let p = successes as f64 / n;
+        if count < 2.0 || successes == 0 || successes == tries {
+            return Self::worth(successes, tries, count);
+        }
+        let residual = |[successes, tries]: &[u64; 2]| (*successes as f64 - p * *tries as f64).powi(2);
+        let variance = count / (count - 1.0) * objects.map(residual).sum::<f64>() / (n * n);
+        Self::worth(successes, tries, (p * (1.0 - p) / variance).min(n))
+    }
+
+    /// From counts of tries that are worth `n` that have nothing to do with each other.
+    fn worth(successes: u64, tries: u64, n: f64) -> Self {
         if tries == 0 {
             return Self { successes, tries, rate: 0.0, low: 0.0, high: 1.0 };
         }
         let z = Normal::standard().inverse_cdf(0.975);
-        let (n, p) = (tries as f64, successes as f64 / tries as f64);
+        let p = successes as f64 / tries as f64;
         let centre = (p + z * z / (2.0 * n)) / (1.0 + z * z / n);
         let half = z / (1.0 + z * z / n) * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt();
         Self { successes, tries, rate: p, low: (centre - half).max(0.0), high: (centre + half).min(1.0) }
@@ -96,17 +118,17 @@ impl ScoreMetrics {
     }
 }
 
-/// 95 % interval of the F-score over scenes like these: percentiles of as many scenes drawn with replacement (the bootstrap,
-/// Efron, 1979). Trials of one scene end alike, so that intervals which took them for independent would be too narrow.
-/// `[low, high]`; all there is without scenes.
+/// 95 % interval of the F-score over objects like these: percentiles of as many objects drawn with replacement (the bootstrap,
+/// Efron, 1979). Trials on one object end alike, so that intervals which took them for independent would be too narrow.
+/// `[low, high]`; all there is without objects.
 #[must_use]
-pub fn f_score_interval(scenes: &[&[(f32, bool)]], rng: &mut ChaCha8Rng) -> [f64; 2] {
+pub fn f_score_interval(objects: &[Vec<(f32, bool)>], rng: &mut ChaCha8Rng) -> [f64; 2] {
     const DRAWS: usize = 2000;
-    if scenes.is_empty() {
+    if objects.is_empty() {
         return [0.0, 1.0];
     }
     // Twice the hits, and what the F-score divides that by.
-    let parts: Vec<[usize; 2]> = scenes
+    let parts: Vec<[usize; 2]> = objects
         .iter()
         .map(|scored| {
             let of = |(score, success): &(f32, bool)| (*score > ScoreMetrics::THRESHOLD, *success);
@@ -327,27 +349,44 @@ mod tests {
         assert_eq!(Rate::new(0, 0).high, 1.0);
     }
 
-    /// Where every trial is called a success, the F-score is 2 s / (n + s), and s of n scenes with one trial each, a quarter
+    #[test]
+    fn five_tries_that_end_alike_are_worth_one() {
+        let of = |objects: &[[u64; 2]]| Rate::of_objects(objects);
+        let width = |rate: Rate| rate.high - rate.low;
+        let alike: Vec<[u64; 2]> = (0..40).map(|i| if i % 4 == 0 { [5, 5] } else { [0, 5] }).collect();
+        let single: Vec<[u64; 2]> = alike.iter().map(|[successes, _]| [successes / 5, 1]).collect();
+        assert_eq!((of(&alike).successes, of(&alike).tries), (50, 200));
+        for (found, expected) in [(of(&alike), Rate::new(10, 40)), (of(&single), Rate::new(10, 40))] {
+            assert!((width(found) / width(expected) - 1.0).abs() < 0.02, "{found:?} {expected:?}");
+        }
+        // As many as there are where each object has its share, and one each where nothing differs.
+        assert_eq!(of(&[[1, 4]; 10]), Rate::new(10, 40));
+        assert_eq!(of(&[[0, 5]; 10]).high, Rate::new(0, 10).high);
+        assert_eq!(of(&[[3, 5], [0, 0]]).high, Rate::worth(3, 5, 1.0).high);
+        assert_eq!(of(&[]), Rate::new(0, 0));
+    }
+
+    /// Where every trial is called a success, the F-score is 2 s / (n + s), and s of n objects with one trial each, a quarter
     /// of which succeed, is binomial.
     #[test]
-    fn an_interval_for_the_f_score_is_that_of_scenes_drawn_again() {
+    fn an_interval_for_the_f_score_is_that_of_objects_drawn_again() {
         use statrs::distribution::{Binomial, DiscreteCDF};
         let trials: Vec<(f32, bool)> = (0..40).map(|i| (0.9, i % 4 == 0)).collect();
-        let interval =
-            |of_scene: &[&[(f32, bool)]]| f_score_interval(of_scene, &mut where2act_core::Seed(1).rng());
-        let each: Vec<_> = trials.chunks(1).collect();
+        let interval = |trials: &[(f32, bool)], each: usize| {
+            let objects: Vec<_> = trials.chunks(each).map(<[_]>::to_vec).collect();
+            f_score_interval(&objects, &mut where2act_core::Seed(1).rng())
+        };
         let binomial = Binomial::new(0.25, 40).unwrap();
-        for (found, share) in interval(&each).into_iter().zip([0.025, 0.975]) {
+        for (found, share) in interval(&trials, 1).into_iter().zip([0.025, 0.975]) {
             let successes = binomial.inverse_cdf(share) as f64;
             let expected = 2.0 * successes / (40.0 + successes);
             assert!((found - expected).abs() < 0.035, "{found} {expected}");
         }
-        // Scenes that are all alike leave no doubt; ten trials that end alike are no ten scenes.
-        let alike: Vec<_> = trials.chunks(4).collect();
-        assert_eq!(interval(&alike), [0.4, 0.4]);
+        // Objects that are all alike leave no doubt; ten trials that end alike are no ten objects.
+        assert_eq!(interval(&trials, 4), [0.4, 0.4]);
         let mut sorted = trials.clone();
         sorted.sort_by_key(|(_, success)| *success);
-        let [low, high] = interval(&sorted.chunks(10).collect::<Vec<_>>());
+        let [low, high] = interval(&sorted, 10);
         assert!(low == 0.0 && high > 0.8, "{low} {high}");
     }
 
@@ -358,7 +397,7 @@ mod tests {
         assert_eq!(reliability(&[]).1, 0.0);
         let mut rng = where2act_core::Seed(1).rng();
         assert_eq!(f_score_interval(&[], &mut rng), [0.0, 1.0]);
-        assert_eq!(f_score_interval(&[&[(0.1, false)]], &mut rng), [0.0, 0.0]);
+        assert_eq!(f_score_interval(&[vec![(0.1, false)]], &mut rng), [0.0, 0.0]);
     }
 
     #[test]

@@ -75,7 +75,6 @@ pub(crate) fn proposals(
     let movable = || prep.view.link.iter().map(|&link| link > 1).collect();
     let options = Options {
         top_k: count,
-        candidates: count.max(Options::default().candidates),
         clearance,
         seed,
         region: (!anywhere).then(movable),

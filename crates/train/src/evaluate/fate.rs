@@ -23,19 +23,22 @@ pub enum Fate {
     NoHold,
     /// It was not on a part that moves, and nobody tried it.
     NothingMoves,
+    /// There was nothing to try.
+    NoProposal,
     /// The simulation left the finite numbers.
     Unstable,
 }
 
 impl Fate {
     /// All of them, as tables list them.
-    pub const ALL: [Fate; 7] = [
+    pub const ALL: [Fate; 8] = [
         Self::Success,
         Self::NoApproach,
         Self::WrongTouch,
         Self::AgainstJoint,
         Self::NoHold,
         Self::NothingMoves,
+        Self::NoProposal,
         Self::Unstable,
     ];
 
@@ -49,6 +52,7 @@ impl Fate {
             Self::AgainstJoint => "against the joint",
             Self::NoHold => "no hold",
             Self::NothingMoves => "nothing moves",
+            Self::NoProposal => "no proposal",
             Self::Unstable => "unstable",
         }
     }

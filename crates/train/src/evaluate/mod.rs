@@ -277,15 +277,21 @@ impl Judge<'_> {
             None => Fate::NothingMoves,
         };
         result.fates = own.par_iter().take(config.proposals).map(fate).collect();
+        // Who proposes nothing has failed, as often as others try.
+        if own.is_empty() {
+            result.fates = vec![Fate::NoProposal; config.proposals];
+        }
         let best: Vec<bool> = result.fates.iter().map(|fate| *fate == Fate::Success).collect();
         let drawn = contestants::draw(own, config.proposals, seed.child("sampled", 0));
         let succeeds = |own: &Option<Candidate>| own.as_ref().is_some_and(|c| execute(c).verdict.success);
-        let sampled: Vec<bool> = drawn.into_par_iter().map(succeeds).collect();
+        let mut sampled: Vec<bool> = drawn.into_par_iter().map(succeeds).collect();
+        if own.is_empty() {
+            sampled = vec![false; config.proposals];
+        }
         let random = contestants::random(prep, sampler, primitive, config.random, seed);
         let along = contestants::along_normal(prep, sampler, primitive, config.random, seed);
         result.trials = vec![
-            // Who proposes nothing has failed.
-            (Contestant::TopOne, vec![best.first().copied().unwrap_or(false)]),
+            (Contestant::TopOne, best.iter().take(1).copied().collect()),
             (Contestant::TopK, best),
             (Contestant::Sampled, sampled),
             (Contestant::Random, random.iter().map(|t| t.verdict.success).collect()),

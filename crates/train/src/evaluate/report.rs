@@ -96,8 +96,8 @@ impl Report {
                 "Candidates are the {2} most actionable pixels{place} that keep a distance; {3} proposals at \
                  each{room}, the best four of which are scored once more if the network takes a second look; the \
                  best-scored one per pixel. Top-1 is the best of them, top-k the best {0} (one per pixel), \
-                 sampled {0} drawn at random from all of them, whatever their score; a scene without any is a failure of \
-                 top-1. Executed in the fast mode of the \
+                 sampled {0} drawn at random from all of them, whatever their score; a scene without any is a \
+                 failure of each. Executed in the fast mode of the \
                  simulator. Scenes in which {1} trials that know the joint do not succeed with a primitive do not \
                  count for it.",
                 config.proposals,
@@ -124,7 +124,8 @@ impl Report {
     #[must_use]
     pub fn to_markdown(&self) -> String {
         let mut text = format!(
-            "Weights `{}` ({}), {} scenes, seed {}.\n\n{}Success rate of executed proposals, 95 % intervals. \
+            "Weights `{}` ({}), {} scenes, seed {}.\n\n{}Success rate of executed proposals, 95 % intervals: Wilson's, for as many \
+             tries as those on some objects are worth, which end alike. \
              {}\n\n",
             self.model,
             self.sha256.get(..12).unwrap_or(&self.sha256),
@@ -243,7 +244,7 @@ impl Report {
             },
         );
         let of_all = |fate: Fate| self.total.rows.iter().map(move |row| row.count(fate)).sum::<u64>();
-        let rare = [Fate::NothingMoves, Fate::Unstable];
+        let rare = [Fate::NothingMoves, Fate::NoProposal, Fate::Unstable];
         let shown: Vec<Fate> =
             Fate::ALL.into_iter().filter(|fate| !rare.contains(fate) || of_all(*fate) > 0).collect();
         for fate in &shown {
@@ -298,7 +299,8 @@ fn separator(columns: usize) -> String {
 impl Judgement {
     fn new(primitives: &[String], scenes: &[&SceneResult], seed: Seed) -> Self {
         let rows = primitives.iter().enumerate().map(|(p, primitive)| {
-            let results: Vec<&PrimitiveResult> = scenes.iter().map(|scene| &scene.primitives[p]).collect();
+            let results: Vec<OfObject<'_>> =
+                scenes.iter().map(|scene| (scene.object.as_str(), &scene.primitives[p])).collect();
             row(primitive, &results, seed.child("bootstrap", p as u64))
         });
         Self { scenes: scenes.len() as u64, rows: rows.collect() }
@@ -312,23 +314,36 @@ impl Row {
     }
 }
 
+/// What came of a primitive in a scene, and the scene's object.
+type OfObject<'a> = (&'a str, &'a PrimitiveResult);
+
 /// Success rate of each contestant in some scenes.
-fn rates(scenes: &[&PrimitiveResult]) -> Vec<(Contestant, Rate)> {
+fn rates(scenes: &[OfObject<'_>]) -> Vec<(Contestant, Rate)> {
     let rate = |contestant: Contestant| {
-        let trials = scenes.iter().flat_map(|scene| &scene.trials);
-        let mine = trials.filter(|(who, _)| *who == contestant);
-        let outcomes: Vec<bool> = mine.flat_map(|(_, outcomes)| outcomes.iter().copied()).collect();
-        (contestant, Rate::new(outcomes.iter().filter(|o| **o).count() as u64, outcomes.len() as u64))
+        let mut objects: BTreeMap<&str, [u64; 2]> = BTreeMap::new();
+        for (object, scene) in scenes {
+            let [successes, tries] = objects.entry(object).or_default();
+            for (_, outcomes) in scene.trials.iter().filter(|(who, _)| *who == contestant) {
+                *successes += outcomes.iter().filter(|outcome| **outcome).count() as u64;
+                *tries += outcomes.len() as u64;
+            }
+        }
+        (contestant, Rate::of_objects(&objects.into_values().collect::<Vec<_>>()))
     };
     Contestant::ALL.map(rate).to_vec()
 }
 
-fn row(primitive: &str, results: &[&PrimitiveResult], seed: Seed) -> Row {
-    let possible: Vec<&PrimitiveResult> = results.iter().copied().filter(|r| r.possible).collect();
-    let in_view: Vec<&PrimitiveResult> = possible.iter().copied().filter(|r| r.possible_in_view).collect();
-    let count = |fate: Fate| possible.iter().flat_map(|r| &r.fates).filter(|f| **f == fate).count() as u64;
-    let of_scenes: Vec<&[(f32, bool)]> = results.iter().map(|r| r.scored.as_slice()).collect();
-    let scored = of_scenes.concat();
+fn row(primitive: &str, results: &[OfObject<'_>], seed: Seed) -> Row {
+    let possible: Vec<OfObject<'_>> = results.iter().copied().filter(|(_, r)| r.possible).collect();
+    let in_view: Vec<OfObject<'_>> = possible.iter().copied().filter(|(_, r)| r.possible_in_view).collect();
+    let fates = || possible.iter().flat_map(|(_, r)| &r.fates);
+    let count = |fate: Fate| fates().filter(|f| **f == fate).count() as u64;
+    let mut of_objects: BTreeMap<&str, Vec<(f32, bool)>> = BTreeMap::new();
+    for (object, result) in results {
+        of_objects.entry(object).or_default().extend(&result.scored);
+    }
+    let of_objects: Vec<_> = of_objects.into_values().collect();
+    let scored = of_objects.concat();
     let (rows, calibration_error) = reliability(&scored);
     Row {
         primitive: primitive.to_owned(),
@@ -338,7 +353,7 @@ fn row(primitive: &str, results: &[&PrimitiveResult], seed: Seed) -> Row {
         rates_in_view: rates(&in_view),
         fates: Fate::ALL.map(|fate| (fate, count(fate))).to_vec(),
         score: ScoreMetrics::new(&scored),
-        f_score_interval: f_score_interval(&of_scenes, &mut seed.rng()),
+        f_score_interval: f_score_interval(&of_objects, &mut seed.rng()),
         reliability: rows,
         calibration_error,
     }
@@ -358,7 +373,7 @@ mod tests {
             scored: vec![(0.9, success)],
         };
         let (a, b, c) = (scene(true, true), scene(true, false), scene(false, false));
-        let row = row("pushing", &[&a, &b, &c], Seed(0));
+        let row = row("pushing", &[("a", &a), ("b", &b), ("c", &c)], Seed(0));
         assert_eq!((row.possible_scenes, row.rates[0].1.successes, row.rates[0].1.tries), (2, 1, 2));
         assert_eq!(
             (row.possible_in_view, row.rates_in_view[0].1.successes, row.rates_in_view[0].1.tries),

@@ -58,8 +58,8 @@ pub struct Control<'a> {
 const EXPLODED: f32 = 1e6;
 /// A checkpoint is written at least this often.
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(180);
-/// Validation looks at so many scenes at most, but after the last step at all: then the threshold of the score is settled, by
-/// the successes among random trials, of which forty trials a scene, 60 % of them guided, bring few.
+/// Validation looks at so many scenes at most, the same ones every time. The threshold of the score is settled after the last
+/// step by all of them: by the successes among random trials, of which forty trials a scene, 60 % of them guided, bring few.
 const VALIDATION_SCENES: usize = 192;
 /// Batches prepared ahead.
 const AHEAD: usize = 2;
@@ -266,11 +266,11 @@ impl Run<'_> {
         let joint = phase == Phase::Joint;
         // Looking does not teach the score.
         let step = self.state.progress.step;
-        let most = if step == self.config.steps() { usize::MAX } else { VALIDATION_SCENES };
-        let scenes: Vec<SceneId> = spread(&self.validation_scenes, most).copied().collect();
-        let scored = (phase != Phase::Look)
-            .then(|| score_scenes(&network, &self.dataset, &scenes, seed))
-            .transpose()?;
+        let score = |most: usize| {
+            let scenes: Vec<SceneId> = spread(&self.validation_scenes, most).copied().collect();
+            score_scenes(&network, &self.dataset, &scenes, seed)
+        };
+        let scored = (phase != Phase::Look).then(|| score(VALIDATION_SCENES)).transpose()?;
         let judged = scored.as_ref().map(|scored| Validation::new(&network, scored));
         let ways = self.ways(&learner, seed)?;
         self.log(&serde_json::json!({ "step": step, "epoch": epoch, "validation": judged, "ways": ways }))?;
@@ -281,9 +281,11 @@ impl Run<'_> {
             self.state.progress.best = Some(validation.figure);
         }
         if joint {
-            let shifts = validation.shifts();
+            let last = step == self.config.steps();
+            let scored = if last { score(usize::MAX)? } else { scored.unwrap_or_default() };
+            let shifts = Validation::new(&network, &scored).shifts();
             let centred = network.clone().shift_scores(&shifts);
-            let scored = shifted(&network, &scored.unwrap_or_default(), &shifts);
+            let scored = shifted(&network, &scored, &shifts);
             let card = card(self.config, &self.state.progress, &Validation::new(&network, &scored));
             let save = |folder: &str| save_weights(&self.out.join(folder), &centred, &card, Precision::F16);
             save(files::LAST)?;
