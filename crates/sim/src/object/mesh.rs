@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::fs;
-use std::io::Cursor;
+use std::io::{self, Cursor};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -66,9 +66,13 @@ pub(super) fn read(path: &Path, textures: &Textures) -> Result<MeshFile, ObjectE
     Ok(MeshFile { parts })
 }
 
-/// The whole file, unless it is larger than `limit` bytes.
+/// The whole file, unless it is larger than `limit` bytes or no file but a device or pipe, which may have no end.
 pub(super) fn read_limited(path: &Path, limit: u64) -> Result<Vec<u8>, ObjectError> {
-    let size = fs::metadata(path).map_err(|e| ObjectError::read(path, e))?.len();
+    let metadata = fs::metadata(path).map_err(|e| ObjectError::read(path, e))?;
+    if !metadata.is_file() {
+        return Err(ObjectError::read(path, io::Error::other("not a regular file")));
+    }
+    let size = metadata.len();
     if size > limit {
         return Err(ObjectError::TooLarge { path: path.to_owned(), limit, found: size, unit: "bytes" });
     }
@@ -87,13 +91,13 @@ fn read_obj(
     let text = String::from_utf8_lossy(bytes);
     let (models, materials) = tobj::load_obj_buf(&mut Cursor::new(text.as_bytes()), &options, |name| {
         let library = folder.join(name);
-        match fs::read(&library) {
+        match read_limited(&library, MAX_MESH_BYTES) {
             Ok(bytes) => {
                 let text = with_whole_colours(&library, &String::from_utf8_lossy(&bytes));
                 tobj::load_mtl_buf(&mut Cursor::new(text.as_bytes()))
             }
             Err(e) => {
-                warn!("{}: materials are left out: {e}", library.display());
+                warn!("materials are left out: {e}");
                 Ok((Vec::new(), Default::default()))
             }
         }

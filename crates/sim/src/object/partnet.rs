@@ -1,12 +1,16 @@
 //! What PartNet-Mobility folders say beside the URDF.
 
 use std::collections::HashMap;
-use std::fs;
 use std::path::Path;
 
 use serde::Deserialize;
 use tracing::warn;
 use where2act_core::Category;
+
+use super::mesh::read_limited;
+
+/// The largest of these files that is read, 16 MiB; those of PartNet-Mobility have kilobytes.
+const MAX_BYTES: u64 = 16 << 20;
 
 /// Names of an object and of its parts.
 pub(super) struct Annotations {
@@ -32,7 +36,8 @@ pub(super) fn annotations(urdf: &Path) -> Annotations {
         path.and_then(Path::file_name).map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
     };
     let parent = name_of(folder.and_then(Path::parent));
-    let meta = folder.and_then(|f| fs::read(f.join("meta.json")).ok());
+    let read = |name: &str| folder.and_then(|f| read_limited(&f.join(name), MAX_BYTES).ok());
+    let meta = read("meta.json");
     let model_cat = meta.and_then(|bytes| match serde_json::from_slice::<Meta>(&bytes) {
         Ok(meta) => Some(meta.model_cat),
         Err(e) => {
@@ -47,8 +52,8 @@ pub(super) fn annotations(urdf: &Path) -> Annotations {
     } else {
         urdf.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
     };
-    let semantics = folder.and_then(|f| fs::read_to_string(f.join("semantics.txt")).ok()).unwrap_or_default();
-    Annotations { name, category, labels: labels(&semantics) }
+    let semantics = read("semantics.txt").unwrap_or_default();
+    Annotations { name, category, labels: labels(&String::from_utf8_lossy(&semantics)) }
 }
 
 /// Lines of `link_0 hinge rotation_door`.
