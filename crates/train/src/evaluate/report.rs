@@ -148,7 +148,7 @@ impl Report {
         }
         text += &self.in_view_table();
         text += &self.fates_table();
-        text += "\nThe score on random trials (threshold 0.5; intervals by bootstrap over scenes):\n\n";
+        text += "\nThe score on random trials (threshold 0.5; intervals by bootstrap over objects):\n\n";
         text += "| primitive | trials | successes | F-score | precision | recall | average precision | calibration error |\n";
         text += "| --- | --- | --- | --- | --- | --- | --- | --- |\n";
         for Row { primitive, score: s, f_score_interval: [low, high], calibration_error, .. } in
