@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes weights of the kind of weights/cloud and then weights/rgb from nothing, on two cores: an hour for the data, three and a
+# Makes weights of the kind of weights/cloud and then weights/rgb from nothing, on two cores: an hour for the data, four and a
 # half for scans, by the speeds of its steps five for pictures, and half an hour for judging both. `weights/make.sh cloud`
 # leaves out pictures. What is interrupted goes on when this is run again, in the same folder.
 set -euo pipefail
@@ -21,7 +21,8 @@ train() {
 }
 train standard cloud-first
 train standard-more cloud-more --from runs/cloud-first/last --replay runs/cloud-first
-train standard-end cloud --from runs/cloud-more/last --replay runs/cloud-more --data data/random
+train standard-end cloud-end --from runs/cloud-more/last --replay runs/cloud-more --data data/random
+train standard-mean cloud --from runs/cloud-end/last --replay runs/cloud-end --data data/random
 # Scans teach pictures, and the trials that they made are the first that pictures learn from.
 if [[ $kinds == *rgb* ]]; then
     train standard-rgb rgb --seed 3 --teacher runs/cloud/last --replay runs/cloud --data data/random
