@@ -1,18 +1,39 @@
-//! The running mean of the weights along a run. Single steps stray about what they all circle; their mean does not, and
-//! is the better network of the two (Izmailov et al., 2018, "Averaging Weights Leads to Wider Optima and Better
-//! Generalization").
+//! Means of weights. Single steps of a run stray about what they all circle; their mean does not, and is the better network of
+//! the two (Izmailov et al., 2018, "Averaging Weights Leads to Wider Optima and Better Generalization"). So is, on what is unlike
+//! the data, the mean of a network and of what it has become by further training (Wortsman et al., 2022, "Robust Fine-Tuning
+//! of Zero-Shot Models").
 
 use std::collections::VecDeque;
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::Tensor;
+use where2act_model::{ModelConfig, Network};
 
-use crate::probes::Learner;
+/// The mean of the weights and running statistics of some networks, number by number, described as the last of them is; `None`
+/// of none, or if they differ in more than their names and in how they are shown what they see.
+#[must_use]
+pub fn mean(networks: Vec<Network>) -> Option<Network> {
+    let last = networks.last()?.config().clone();
+    let comparable = |network: &Network| ModelConfig {
+        name: last.name.clone(),
+        preprocessing: last.preprocessing.clone(),
+        ..network.config().clone()
+    };
+    if networks.iter().any(|network| comparable(network) != last) {
+        return None;
+    }
+    let mut networks = networks.into_iter().rev();
+    let mut mean = networks.next()?;
+    for (count, network) in (2u32..).zip(networks) {
+        mean = towards(mean, &network, 1.0 / f64::from(count));
+    }
+    Some(mean)
+}
 
 /// Takes the mean a step towards the newest weights: `mean + share * (newest - mean)`, of running statistics as well. Both
 /// without gradients.
 #[must_use]
-pub(crate) fn towards(mean: Learner, newest: &Learner, share: f64) -> Learner {
+pub(crate) fn towards<M: Module>(mean: M, newest: &M, share: f64) -> M {
     let mut weights = Weights::default();
     newest.visit(&mut weights);
     mean.map(&mut Towards { newest: weights.0, share })
@@ -50,9 +71,10 @@ mod tests {
     use super::*;
     use burn::tensor::Device;
     use where2act_core::{Primitive, Seed};
-    use where2act_model::{Modality, ModelConfig, Network};
+    use where2act_model::Modality;
 
     use crate::config::LossConfig;
+    use crate::probes::Learner;
     use crate::step::floats;
 
     #[test]
@@ -81,5 +103,20 @@ mod tests {
             assert!((mean - (0.75 * a + 0.25 * b)).abs() < 1e-6, "{a} {b} {mean}");
         }
         assert_eq!(flat(&second), b);
+    }
+
+    #[test]
+    fn a_mean_counts_every_network_alike_and_is_none_of_different_ones() {
+        let config = ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(64);
+        let of = |config: &ModelConfig, seed| Network::new(config, Seed(seed), &Device::flex());
+        let scores = |network: &Network| floats(network.heads.score.mlp1.linear.weight.val());
+        let networks: Vec<Network> = (1..=3).map(|seed| of(&config, seed)).collect();
+        let found = scores(&mean(networks.clone()).unwrap());
+        for (i, found) in found.into_iter().enumerate() {
+            let sum: f32 = networks.iter().map(|network| scores(network)[i]).sum();
+            assert!((found - sum / 3.0).abs() < 1e-6);
+        }
+        let wider = ModelConfig { hidden: config.hidden + 1, ..config.clone() };
+        assert!(mean(vec![of(&config, 1), of(&wider, 1)]).is_none() && mean(Vec::new()).is_none());
     }
 }
