@@ -1,4 +1,4 @@
-//! `train` and `evaluate` as users run them: what cannot work is refused in one line, before any work is done.
+//! `train`, `evaluate` and `mean` as users run them: what cannot work is refused in one line, before any work is done.
 
 mod boards;
 
@@ -9,7 +9,7 @@ use std::process::{Command, Output};
 use burn::tensor::Device;
 use where2act_core::shard::{FORMAT, Manifest};
 use where2act_core::{Category, Primitive, Seed};
-use where2act_model::{Modality, ModelConfig, Network, Precision, save_weights};
+use where2act_model::{Modality, ModelConfig, Network, Precision, Weights, save_weights};
 use where2act_train::Part;
 
 const CONFIG: &str = "name = 'test'
@@ -125,6 +125,26 @@ fn names(folder: &Path) -> Vec<String> {
     let mut names: Vec<_> = entries.map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     names
+}
+
+#[test]
+fn a_mean_says_what_it_is_of_and_harms_no_other_weights() {
+    let bench = Bench::new();
+    let mean = |args: &str| bench.run(env!("CARGO_BIN_EXE_mean"), args);
+    bench.weights("a");
+    bench.weights("b");
+    worked(&mean("a b --out both"));
+    let [a, both] = ["a", "both"].map(|name| Weights::load(&bench.path(name), &Device::flex()).unwrap());
+    let card = fs::read_to_string(bench.path("both/card.md")).unwrap();
+    assert_eq!(card.matches(&a.sha256[..12]).count(), 2, "{card}");
+    refused(&mean("a b --out both"), &["--out both", "new folder"]);
+    assert_eq!(Weights::load(&bench.path("both"), &Device::flex()).unwrap().sha256, both.sha256);
+    let config = ModelConfig::new(Modality::Cloud, &[Primitive::Pulling]).with_points(256);
+    let network = Network::new(&config, Seed(1), &Device::flex());
+    save_weights(&bench.path("c"), &network, "random", Precision::F32).unwrap();
+    refused(&mean("a c --out other"), &["differ in their weights alone"]);
+    assert!(!bench.path("other").exists());
+    misused(&mean("a --out other"), &["2 values required"]);
 }
 
 #[test]

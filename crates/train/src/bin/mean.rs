@@ -37,7 +37,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
         args.weights.iter().map(|folder| Weights::load(folder, &device)).collect();
     let loaded = loaded?;
     let name = loaded.last().map_or("", |last| &last.network.config().name);
-    let mut card = format!("# {name}\n\nThe mean, number by number, of the weights whose SHA-256 begins with");
+    let mut card =
+        format!("# {name}\n\nThe mean, number by number, of the weights whose SHA-256 begins with");
     for Weights { sha256, .. } in &loaded {
         card += &format!(" {}", sha256.get(..12).unwrap_or(sha256));
     }
