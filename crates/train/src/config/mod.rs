@@ -494,6 +494,7 @@ mod tests {
                 "where2act-cloud",
                 "where2act-cloud",
                 "where2act-cloud",
+                "where2act-cloud",
                 "where2act-rgb"
             ]
         );
