@@ -249,7 +249,14 @@ fn an_npy_with_a_camera_is_a_depth_map() {
         (input.kind, input.width, input.height)
     };
     assert_eq!(kind(&["depth.npy", "--fov", "40"]), ("depth".to_owned(), 80, 60));
-    // Without one its rows are points, of which the first three numbers count.
+    // One of three columns is a scan all the same: a camera may be that of other files.
+    let mut bytes = Vec::new();
+    let row =
+        |v: usize, row: &mut [f32]| row.copy_from_slice(&[v as f32 * 1e-2, (v * v % 97) as f32 * 1e-2, 2.0]);
+    where2act_infer::write::write_npy_grid(&mut bytes, (300, 3), row).unwrap();
+    std::fs::write(bench.path("points.npy"), bytes).unwrap();
+    assert_eq!(kind(&["points.npy", "--fov", "40"]), ("cloud".to_owned(), 300, 1));
+    // Without a camera a row is a point, of which the first three numbers count.
     let refused = bench.predict(&["depth.npy", "--json"]).assert().failure().code(2);
     let stderr = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
     assert!(stderr.contains("depth.npy"), "{stderr}");

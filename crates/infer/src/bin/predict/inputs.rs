@@ -9,6 +9,9 @@ use where2act_model::Modality;
 
 use crate::args::Args;
 
+/// Fewer columns than this are no depth map: an npy has a point in each row, perhaps with its colour or normal.
+const NARROWEST: usize = 8;
+
 /// A file to predict for.
 pub(crate) struct Input {
     pub(crate) path: PathBuf,
@@ -21,8 +24,8 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
     let input = |path: PathBuf, kind| {
         // With a depth map of its own even a 16-bit grey picture is a picture.
         let own = args.depth.is_some() && kind == FileKind::Depth;
-        // A scan needs no camera: an npy with one is a depth map.
-        let grid = args.has_camera() && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy"));
+        // A scan needs no camera: an npy with one is a depth map, unless it turns out to be too narrow for that.
+        let grid = args.has_camera() && is_npy(&path);
         let kind = match kind {
             _ if own => FileKind::Picture,
             _ if grid => FileKind::Depth,
@@ -67,6 +70,10 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
         bail!("--intrinsics, --fov: expected a picture or depth map as input, found a scan");
     }
     Ok(inputs)
+}
+
+fn is_npy(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("npy"))
 }
 
 fn files(folder: &Path) -> Result<Vec<PathBuf>> {
@@ -122,6 +129,9 @@ impl Input {
             FileKind::Depth => {
                 let depth = read_depth(&self.path, args.depth_scale)?;
                 let size = depth.size;
+                if is_npy(&self.path) && size.width < NARROWEST {
+                    return Ok(Observation::Cloud { points: read_scan(&self.path)? });
+                }
                 let missing = || {
                     format!(
                         "{}: expected --intrinsics or --fov with a depth map, found neither",
