@@ -98,7 +98,7 @@ impl<'a> Prepared<'a> {
         let on: Vec<(Pixel, Pixel)> = pixels(network).filter_map(source).collect();
         // Where a depth map has a hole, nobody knows how far to go and whether the hand has room.
         let depth = DepthView::of(observation);
-        let measured = |at: &(Pixel, Pixel)| depth.is_none_or(|depth| depth.contact(at.1).is_some());
+        let measured = |at: &(Pixel, Pixel)| depth.is_none_or(|depth| depth.has_contact(at.1));
         let reachable: Vec<(Pixel, Pixel)> = on.iter().copied().filter(measured).collect();
         let on = if reachable.is_empty() { on } else { reachable };
         let mut places = Places::new(on.into_iter().map(|(p, _)| at(p)), distance);

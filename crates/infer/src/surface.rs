@@ -77,6 +77,18 @@ impl DepthView<'_> {
         nearest.map(|(_, near, z)| self.intrinsics.pixel_to_point(near, z))
     }
 
+    /// Whether there surely is a [`Self::contact`]: something is seen at the pixel, or at one of sixteen in the square around
+    /// it where that is looked for. Looking at all 81 took a fifth of a prediction for an object in front of nothing.
+    pub(crate) fn has_contact(&self, pixel: Pixel) -> bool {
+        const RING: [(i64, i64); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
+        let (u, v) = (i64::from(pixel.u), i64::from(pixel.v));
+        let seen = |u: i64, v: i64| {
+            self.depth_at(u, v).is_some() && self.on_object(Pixel { u: u as u32, v: v as u32 })
+        };
+        let on_ring = |far: i64| RING.iter().any(|(du, dv)| seen(u + du * far, v + dv * far));
+        self.depth_at(u, v).is_some() || on_ring(HOLE) || on_ring(HOLE / 2)
+    }
+
     /// The normal of the surface around a pixel, towards the camera.
     pub(crate) fn normal(&self, pixel: Pixel, contact: &Point3<f32>) -> Option<Vector3<f32>> {
         let reach = ((PATCH * self.intrinsics.fx / contact.z).round() as i64).clamp(2, 12);
