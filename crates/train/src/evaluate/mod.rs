@@ -278,16 +278,13 @@ impl Judge<'_> {
         };
         result.fates = own.par_iter().take(config.proposals).map(fate).collect();
         // Who proposes nothing has failed, as often as others try.
-        if own.is_empty() {
-            result.fates = vec![Fate::NoProposal; config.proposals];
-        }
+        let nothing = if own.is_empty() { config.proposals } else { 0 };
+        result.fates.extend(std::iter::repeat_n(Fate::NoProposal, nothing));
         let best: Vec<bool> = result.fates.iter().map(|fate| *fate == Fate::Success).collect();
         let drawn = contestants::draw(own, config.proposals, seed.child("sampled", 0));
         let succeeds = |own: &Option<Candidate>| own.as_ref().is_some_and(|c| execute(c).verdict.success);
         let mut sampled: Vec<bool> = drawn.into_par_iter().map(succeeds).collect();
-        if own.is_empty() {
-            sampled = vec![false; config.proposals];
-        }
+        sampled.extend(std::iter::repeat_n(false, nothing));
         let random = contestants::random(prep, sampler, primitive, config.random, seed);
         let along = contestants::along_normal(prep, sampler, primitive, config.random, seed);
         result.trials = vec![
