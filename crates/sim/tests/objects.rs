@@ -348,6 +348,21 @@ fn huge_files_are_refused_before_they_are_read() {
 }
 
 #[test]
+fn any_object_has_variations() {
+    let cabinet = Cabinet::new();
+    cabinet.open().unwrap();
+    let folder = cabinet.folder.path().display().to_string();
+    for of in ["Kettle:2", &folder] {
+        let [as_it_is, varied, again, other] = ["", "~1", "~1", "~2"].map(|number| {
+            let object = object::open(&format!("{of}{number}")).unwrap();
+            assert!(object.name.ends_with(number));
+            object.links.iter().flat_map(|l| l.pieces.clone()).collect::<Vec<_>>()
+        });
+        assert!(varied == again && varied != as_it_is && varied != other && varied.len() == as_it_is.len());
+    }
+}
+
+#[test]
 fn unknown_names_are_explained() {
     for (spec, word) in
         [("Sofa:1", "StorageFurniture"), ("Door:x", "\"x\""), ("no/such/thing", "CATEGORY:SEED")]

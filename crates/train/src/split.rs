@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use where2act_core::{Category, Split, sha256_hex};
 use where2act_sim::collect::ObjectSet;
+use where2act_sim::object::unvaried;
 
 /// What an object is used for. A pure function of its name and category, so no data set can leak into another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -21,12 +22,13 @@ pub enum Part {
 impl Part {
     /// Where an object belongs. Generated objects (`Category:SEED`) with a seed of [`ObjectSet::TEST_SEEDS`] judge
     /// shapes; of the others one in ten validates. Of objects from folders one in ten validates and one in ten judges
-    /// shapes. Objects without a category count as a training category's.
+    /// shapes. Variations belong where the object does. Objects without a category count as a training category's.
     #[must_use]
     pub fn of(object: &str, category: Option<Category>) -> Self {
         if category.is_some_and(|c| c.split() == Split::Novel) {
             return Self::Novel;
         }
+        let (object, _) = unvaried(object);
         let seed = object.rsplit_once(':').and_then(|(_, seed)| seed.parse().ok());
         if seed.is_some_and(|seed: u64| ObjectSet::TEST_SEEDS.contains(&seed)) {
             return Self::Shapes;
@@ -52,6 +54,16 @@ mod tests {
         assert!((share(Part::Train) - 0.9).abs() < 0.03);
         assert!((share(Part::Validation) - 0.1).abs() < 0.03);
         assert!((0..100).all(|i| Part::of(&format!("Safe:{i}"), Some(Category::Safe)) == Part::Novel));
+    }
+
+    #[test]
+    fn variations_belong_where_the_object_does() {
+        for seed in 0..200 {
+            let of = |suffix: &str| Part::of(&format!("Door:{seed}{suffix}"), Some(Category::Door));
+            assert_eq!(of("~7"), of(""));
+        }
+        assert_eq!(Part::of("Faucet:1000003~12", Some(Category::Faucet)), Part::Shapes);
+        assert_eq!(Part::of("Box/31~5", Some(Category::Box)), Part::of("Box/31", Some(Category::Box)));
     }
 
     #[test]

@@ -58,6 +58,9 @@ struct Cli {
     /// Random light, materials, background and sensor noise, for networks that shall work on photos.
     #[arg(long)]
     randomise: bool,
+    /// Share of the scenes whose object is stretched along its axes and perhaps lies on its side.
+    #[arg(long, default_value_t = 0.0, value_name = "FRACTION", value_parser = fraction)]
+    varied: f64,
     /// Simulate every step at 500 Hz: three times slower, the same outcome in nearly all trials.
     #[arg(long)]
     faithful: bool,
@@ -150,6 +153,7 @@ fn recipe(cli: &Cli) -> anyhow::Result<Recipe> {
         guided: cli.guided,
         wide: cli.wide,
         randomise: cli.randomise,
+        varied: cli.varied,
         faithful: cli.faithful,
     })
 }

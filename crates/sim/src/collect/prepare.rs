@@ -73,7 +73,7 @@ impl Preparer {
         let scene_seed = self.recipe.scene_seed(index);
         for attempt in 0..ATTEMPTS {
             let object_seed = scene_seed.child("object", attempt / POSES_PER_OBJECT);
-            let Some(name) = self.recipe.objects.draw(index, &mut object_seed.rng()) else { return Ok(None) };
+            let Some(name) = self.recipe.draw(index, &mut object_seed.rng()) else { return Ok(None) };
             let object = self.object(&name)?;
             let seed = scene_seed.child("attempt", attempt);
             let scene = Scene::sample(Arc::clone(&object), &mut seed.child("pose", 0).rng());

@@ -11,6 +11,9 @@ use super::CollectError;
 use crate::object::urdf_in;
 use crate::trial::Mode;
 
+/// Variations that scenes draw from.
+const VARIATIONS: u64 = 1_000_000;
+
 /// Everything that decides a data set but the number of its scenes: same recipe, same scenes, bit for bit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Recipe {
@@ -28,6 +31,9 @@ pub struct Recipe {
     pub wide: bool,
     /// Random light, paint, background and sensor instead of the published look, in three scenes of four.
     pub randomise: bool,
+    /// Share of the scenes whose object is in other proportions and perhaps turned: [`crate::object::Object::varied`].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub varied: f64,
     /// Every physics step at 500 Hz instead of the fast mode.
     pub faithful: bool,
 }
@@ -43,6 +49,7 @@ impl Default for Recipe {
             guided: 0.5,
             wide: false,
             randomise: false,
+            varied: 0.0,
             faithful: false,
         }
     }
@@ -55,11 +62,23 @@ impl Recipe {
         if self.faithful { Mode::Faithful } else { Mode::Fast }
     }
 
+    /// Name of an object for scene `index`, a variation in some scenes.
+    pub(super) fn draw(&self, index: u64, rng: &mut impl Rng) -> Option<String> {
+        let name = self.objects.draw(index, rng)?;
+        let varied = self.varied > 0.0 && rng.random_bool(self.varied);
+        Some(if varied { format!("{name}~{}", rng.random_range(0..VARIATIONS)) } else { name })
+    }
+
     /// Seed of a scene.
     #[must_use]
     pub fn scene_seed(&self, index: u64) -> Seed {
         self.seed.child("scene", index)
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde calls it")]
+fn is_zero(share: &f64) -> bool {
+    *share == 0.0
 }
 
 /// A set of objects to draw from.
@@ -154,7 +173,7 @@ impl ObjectSet {
     /// Name of an object for a scene: a random one of the category whose turn it is, or the object itself. An object
     /// of a folder keeps its scene however often it is drawn: one that seldom comes to rest is not passed over for
     /// one that always does.
-    pub(super) fn draw(&self, index: u64, rng: &mut impl Rng) -> Option<String> {
+    fn draw(&self, index: u64, rng: &mut impl Rng) -> Option<String> {
         let turn = self.turn(index)?;
         match self {
             Self::Procedural { seeds, .. } => {
@@ -213,6 +232,20 @@ mod tests {
         };
         assert_eq!(names(&[]), ["Box/1", "Box/2", "Door/1"]);
         assert_eq!(names(&[Category::Box]), ["Box/1", "Box/2"]);
+    }
+
+    #[test]
+    fn as_many_scenes_as_wanted_show_a_variation() {
+        let draw = |varied: f64| {
+            let recipe = Recipe { varied, ..Recipe::default() };
+            (0..400).filter_map(|i| recipe.draw(i, &mut recipe.scene_seed(i).rng())).collect::<Vec<_>>()
+        };
+        let (none, some) = (draw(0.0), draw(0.3));
+        assert!(none.iter().all(|name| !name.contains('~')));
+        let varied = some.iter().filter(|name| name.contains('~')).count();
+        assert!((80..160).contains(&varied), "{varied} of 400");
+        // The objects are the same ones.
+        assert!(some.iter().zip(&none).all(|(a, b)| crate::object::unvaried(a).0 == b));
     }
 
     #[test]

@@ -15,10 +15,11 @@ mod shapes;
 mod sides;
 mod soup;
 mod urdf;
+mod varied;
 
 pub use error::ObjectError;
 pub use export::export;
-pub use open::{open, open_with_cache, urdf_in};
+pub use open::{open, open_with_cache, unvaried, urdf_in};
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -34,7 +35,8 @@ use where2act_core::Category;
 /// exactly one movable joint: `q[i - 1]` is the position of link `i`.
 #[derive(Clone, Debug)]
 pub struct Object {
-    /// Unique name: `StorageFurniture/45746` for a folder, `Microwave:17` for a generated one.
+    /// Unique name: `StorageFurniture/45746` for a folder, `Microwave:17` for a generated one, `Microwave:17~3` for
+    /// its variation 3.
     pub name: String,
     /// PartNet-Mobility category, if known.
     pub category: Option<Category>,

@@ -9,7 +9,7 @@ use super::error::ObjectError;
 use super::{Object, cache, load, procedural};
 
 /// Loads the object that `spec` names: a URDF file, a folder with `mobility.urdf` (or one other `.urdf` file), or
-/// `CATEGORY:SEED` for a generated one.
+/// `CATEGORY:SEED` for a generated one; with `~N` at its end, variation N of that ([`Object::varied`]).
 ///
 /// Textures that are missing are logged and replaced by the colour. Convex pieces of meshes are kept in the folder
 /// `$WHERE2ACT_CACHE`, or `where2act` in the user's cache folder; nowhere if the variable is empty.
@@ -32,6 +32,11 @@ pub fn open_with_cache(spec: &str, cache: Option<&Path>) -> Result<Object, Objec
     if path.is_file() {
         return load::load(path, cache);
     }
+    if let (of, Some(number)) = unvaried(spec) {
+        let object = open_with_cache(of, cache)?;
+        let varied = object.varied(&mut Seed(number).rng());
+        return Ok(Object { name: format!("{}~{number}", object.name), ..varied });
+    }
     let looks_generated = |name: &str| !name.is_empty() && name.chars().all(char::is_alphanumeric);
     let Some((name, seed)) = spec.split_once(':').filter(|(name, _)| looks_generated(name)) else {
         return Err(ObjectError::NotFound { spec: spec.to_owned() });
@@ -40,6 +45,13 @@ pub fn open_with_cache(spec: &str, cache: Option<&Path>) -> Result<Object, Objec
     let seed: u64 =
         seed.parse().map_err(|_| ObjectError::BadSeed { spec: spec.to_owned(), found: seed.to_owned() })?;
     Ok(procedural::generate(category, Seed(seed)))
+}
+
+/// What an object is a variation of, and its number: `Door:17~3` is `Door:17` and 3.
+#[must_use]
+pub fn unvaried(spec: &str) -> (&str, Option<u64>) {
+    let varied = spec.rsplit_once('~').and_then(|(of, number)| Some((of, Some(number.parse().ok()?))));
+    varied.unwrap_or((spec, None))
 }
 
 /// The URDF file of an object's folder.
