@@ -28,7 +28,9 @@ impl Part {
         if category.is_some_and(|c| c.split() == Split::Novel) {
             return Self::Novel;
         }
-        let (object, _) = unvaried(object);
+        if let (of, Some(_)) = unvaried(object) {
+            return Self::of(of, category);
+        }
         let seed = object.rsplit_once(':').and_then(|(_, seed)| seed.parse().ok());
         if seed.is_some_and(|seed: u64| ObjectSet::TEST_SEEDS.contains(&seed)) {
             return Self::Shapes;
@@ -62,7 +64,9 @@ mod tests {
             let of = |suffix: &str| Part::of(&format!("Door:{seed}{suffix}"), Some(Category::Door));
             assert_eq!(of("~7"), of(""));
         }
-        assert_eq!(Part::of("Faucet:1000003~12", Some(Category::Faucet)), Part::Shapes);
+        for of_a_test_object in ["Faucet:1000003~12", "Faucet:1000003~12~1"] {
+            assert_eq!(Part::of(of_a_test_object, Some(Category::Faucet)), Part::Shapes);
+        }
         assert_eq!(Part::of("Box/31~5", Some(Category::Box)), Part::of("Box/31", Some(Category::Box)));
     }
 

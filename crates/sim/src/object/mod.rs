@@ -168,6 +168,14 @@ impl ConvexPiece {
     }
 }
 
+/// The middle of the points' bounding box and the radius of the sphere around it that holds them; 0 without points.
+fn bounding_sphere(points: impl Iterator<Item = Point3<f32>> + Clone) -> (Point3<f32>, f32) {
+    let infinity = Point3::from(Vector3::repeat(f32::INFINITY));
+    let (min, max) = points.clone().fold((infinity, -infinity), |(min, max), p| (min.inf(&p), max.sup(&p)));
+    let centre = nalgebra::center(&min, &max);
+    (centre, points.map(|p| (p - centre).norm()).fold(0.0, f32::max))
+}
+
 impl Object {
     /// Indices of the movable links.
     #[must_use]

@@ -3,15 +3,15 @@
 use std::f32::consts::FRAC_PI_2;
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Unit, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, Unit, Vector3};
 use rand::{Rng, RngExt};
 
-use super::{Joint, JointKind, Link, Mesh, Object};
+use super::{Joint, JointKind, Link, Mesh, Object, bounding_sphere};
 
 /// Every direction becomes longer or shorter by at most this factor, before the whole is fitted.
 const STRETCH: f32 = 1.5;
-/// Probability that an object is turned by a quarter turn or two around the axis to its front: what was on top is at
-/// a side or below.
+/// Probability that an object is turned by one to three quarter turns around the axis to its front: what was on top
+/// is at a side or below.
 const ROLLED: f64 = 0.3;
 /// Probability that it lies on its back, the front up.
 const ON_ITS_BACK: f64 = 0.1;
@@ -22,8 +22,8 @@ impl Object {
     /// [`crate::collect::Recipe::varied`].
     #[must_use]
     pub fn varied(&self, rng: &mut impl Rng) -> Self {
-        let factor = |rng: &mut dyn Rng| STRETCH.powf(rng.random_range(-1.0..=1.0));
-        let stretch = Matrix3::from_diagonal(&Vector3::from_fn(|_, _| factor(rng)));
+        let factors = Vector3::from_fn(|_, _| STRETCH.powf(rng.random_range(-1.0..=1.0)));
+        let stretch = Matrix3::from_diagonal(&factors);
         let kind: f64 = rng.random();
         let quarters = rng.random_range(1..=3) as f32;
         let turn = if kind < ROLLED {
@@ -39,21 +39,20 @@ impl Object {
     /// The object with every vertex at rest (all joints at 0) moved by a linear map, centred and fitted.
     fn transformed(&self, map: &Matrix3<f32>) -> Self {
         let old = self.world_from_links(&vec![0.0; self.links.len() - 1]);
-        let seen = |place: &dyn Fn(Point3<f32>) -> Point3<f32>| {
-            let positions = self.links.iter().zip(&old).flat_map(|(link, pose)| {
+        let seen = || {
+            let links = self.links.iter().zip(&old);
+            links.flat_map(|(link, pose)| {
                 link.visuals.iter().flat_map(|v| &v.mesh.positions).map(move |p| pose * p)
-            });
-            positions.map(place).collect::<Vec<_>>()
+            })
         };
-        let (before, after) = (seen(&|p| p), seen(&|p| map * p));
-        let (radius, _) = sphere(&before);
-        let (mapped, centre) = sphere(&after);
+        let (_, radius) = bounding_sphere(seen());
+        let (centre, mapped) = bounding_sphere(seen().map(|p| map * p));
         let fit = if mapped > 0.0 { radius / mapped } else { 1.0 };
         let map = map * fit;
         // Links keep their origins on their axes and take the world's directions.
         let new: Vec<Isometry3<f32>> = old
             .iter()
-            .map(|pose| Translation3::from(map * pose.translation.vector - centre * fit).into())
+            .map(|pose| Translation3::from(map * pose.translation.vector - centre.coords * fit).into())
             .collect();
         let link = |(index, link): (usize, &Link)| {
             let local = map * old[index].rotation.to_rotation_matrix().matrix();
@@ -78,17 +77,6 @@ impl Object {
     }
 }
 
-/// Radius of the sphere around the middle of the points' bounding box, and that middle.
-fn sphere(points: &[Point3<f32>]) -> (f32, Vector3<f32>) {
-    let infinity = Point3::from(Vector3::repeat(f32::INFINITY));
-    let (min, max) = points.iter().fold((infinity, -infinity), |(min, max), p| (min.inf(p), max.sup(p)));
-    if points.is_empty() {
-        return (0.0, Vector3::zeros());
-    }
-    let centre = nalgebra::center(&min, &max);
-    (points.iter().map(|p| (p - centre).norm()).fold(0.0, f32::max), centre.coords)
-}
-
 fn mapped_mesh(mesh: &Mesh, map: &Matrix3<f32>) -> Mesh {
     // Normals stay across the surface under the inverse's transpose, which is the matrix of cofactors but for a scale.
     let [x, y, z] = [0, 1, 2].map(|i| map.column(i).into_owned());
@@ -103,6 +91,7 @@ fn mapped_mesh(mesh: &Mesh, map: &Matrix3<f32>) -> Mesh {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point3;
     use where2act_core::{Category, Seed};
 
     use super::*;
@@ -124,8 +113,11 @@ mod tests {
                 let varied = object.varied(&mut Seed(seed).rng());
                 assert_eq!(varied.links.len(), object.links.len());
                 let points: Vec<_> = world(&varied, &vec![0.0; object.links.len() - 1]).concat();
-                let (radius, centre) = sphere(&points);
-                assert!((radius - 1.0).abs() < 1e-3 && centre.norm() < 1e-3, "{category}:{seed}: {radius}");
+                let (centre, radius) = bounding_sphere(points.into_iter());
+                assert!(
+                    (radius - 1.0).abs() < 1e-3 && centre.coords.norm() < 1e-3,
+                    "{category}:{seed}: {radius}"
+                );
                 for link in varied.movable() {
                     let (joint, was) = (varied.joint(link), object.joint(link));
                     assert_eq!((joint.kind, joint.parent), (was.kind, was.parent));

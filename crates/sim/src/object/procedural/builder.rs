@@ -9,7 +9,7 @@ use where2act_core::Category;
 use super::dice::Dice;
 use super::finish::Finish;
 use super::solid::{Solid, append};
-use crate::object::{ConvexPiece, Joint, JointKind, Link, Mesh, Object, Visual};
+use crate::object::{ConvexPiece, Joint, JointKind, Link, Mesh, Object, Visual, bounding_sphere};
 
 /// Index of a material of the object being built.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -140,11 +140,9 @@ impl Builder {
 
     /// Centres the object's bounding box, scales it into the unit sphere and moves every link into its own frame.
     pub(super) fn finish(self, name: String, category: Category) -> Object {
-        let vertices = || self.drafts.iter().flat_map(|d| d.meshes.values()).flat_map(|m| &m.positions);
-        let infinity = Point3::new(f32::INFINITY, f32::INFINITY, f32::INFINITY);
-        let (min, max) = vertices().fold((infinity, -infinity), |(min, max), p| (min.inf(p), max.sup(p)));
-        let centre = nalgebra::center(&min, &max);
-        let scale = 1.0 / vertices().map(|p| (p - centre).norm()).fold(1e-6, f32::max);
+        let vertices = self.drafts.iter().flat_map(|d| d.meshes.values()).flat_map(|m| &m.positions);
+        let (centre, radius) = bounding_sphere(vertices.copied());
+        let scale = 1.0 / radius.max(1e-6);
         let place = |p: Point3<f32>| Point3::from((p - centre) * scale);
         let origins: Vec<Point3<f32>> = self
             .drafts
