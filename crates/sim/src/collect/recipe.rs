@@ -65,7 +65,7 @@ impl Recipe {
     /// Name of an object for scene `index`, a variation in some scenes.
     pub(super) fn draw(&self, index: u64, rng: &mut impl Rng) -> Option<String> {
         let name = self.objects.draw(index, rng)?;
-        let varied = self.varied > 0.0 && rng.random_bool(self.varied);
+        let varied = self.varied > 0.0 && rng.random_bool(self.varied.min(1.0));
         Some(if varied { format!("{name}~{}", rng.random_range(0..VARIATIONS)) } else { name })
     }
 
@@ -241,6 +241,7 @@ mod tests {
             (0..400).filter_map(|i| recipe.draw(i, &mut recipe.scene_seed(i).rng())).collect::<Vec<_>>()
         };
         let (none, some) = (draw(0.0), draw(0.3));
+        assert!(draw(2.0).iter().all(|name| name.contains('~')));
         assert!(none.iter().all(|name| !name.contains('~')));
         let varied = some.iter().filter(|name| name.contains('~')).count();
         assert!((80..160).contains(&varied), "{varied} of 400");
