@@ -95,7 +95,7 @@ fn bad_objects_are_refused_by_every_program() {
     let empty = urdf(visual, "")
         .0
         .replace(r#"<visual><geometry><mesh filename="door.obj"/></geometry></visual>"#, "");
-    let table: [(&str, (String, String), &[&str]); 13] = [
+    let table: [(&str, (String, String), &[&str]); 14] = [
         ("missing mesh", urdf("door.obj", "none.obj"), &["none.obj", "no such file"]),
         ("broken XML", urdf("</link>", "</lnk>"), &["mobility.urdf", "valid URDF"]),
         ("cut off XML", urdf("</robot>", ""), &["mobility.urdf", "valid URDF"]),
@@ -107,6 +107,11 @@ fn bad_objects_are_refused_by_every_program() {
         ("index out of range", mesh("f 2 3 4", "f 2 3 7"), &["door.obj", "out of bounds"]),
         ("empty object", (empty, DOOR.to_owned()), &["mobility.urdf", "geometry"]),
         ("no links", ("<robot name=\"r\"></robot>".to_owned(), DOOR.to_owned()), &["mobility.urdf", "links"]),
+        (
+            "millimetres",
+            urdf("0.4 0.6 0.8", "400 600 800"),
+            &["mobility.urdf", "expected metres", "m radius"],
+        ),
         ("no movable joint", urdf("\"revolute\"", "\"fixed\""), &["mobility.urdf", "movable joint"]),
         ("NaN in a limit", urdf("upper=\"2\"", "upper=\"nan\""), &["\"hinge\"", "limits"]),
     ];

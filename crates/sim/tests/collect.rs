@@ -233,5 +233,8 @@ fn what_cannot_work_is_refused_in_one_line() {
     let empty = folder.path().join("empty");
     fs::create_dir(&empty).unwrap();
     refused(&run(&out, &["--objects", empty.to_str().unwrap()]), &["no object", "mobility.urdf"]);
+    fs::create_dir_all(empty.join("Faucet/1")).unwrap();
+    fs::write(empty.join("Faucet/1/mobility.urdf"), "").unwrap();
+    refused(&run(&out, &["--objects", empty.to_str().unwrap()]), &["--object-seeds", "folder of objects"]);
     refused(&run(&out, &["--categories", "Sofa"]), &["unknown category", "Sofa"]);
 }

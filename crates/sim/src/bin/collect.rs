@@ -28,15 +28,15 @@ Examples:
   collect --scenes 10000 --trials 48 --out data/big --shard 0/2     (and 1/2 on another machine)"
 )]
 struct Cli {
-    /// `procedural`, or a folder with `<Category>/<id>/mobility.urdf` (or one other .urdf file).
+    /// `procedural`, or a folder with `<Category>/<id>/mobility.urdf` (or one other .urdf file), or `<id>` alone.
     #[arg(long, default_value = "procedural", value_name = "procedural|DIR")]
     objects: String,
     /// Categories to draw from [default: the ten training categories; for a folder, all in it].
     #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
     categories: Vec<Category>,
-    /// Seeds of the generated objects; disjoint ranges are disjoint objects.
-    #[arg(long, default_value = "0..1000", value_name = "A..B", value_parser = seed_range)]
-    object_seeds: std::ops::Range<u64>,
+    /// Seeds of the generated objects; disjoint ranges are disjoint objects [default: 0..1000].
+    #[arg(long, value_name = "A..B", value_parser = seed_range)]
+    object_seeds: Option<std::ops::Range<u64>>,
     /// Number of scenes.
     #[arg(long, value_name = "N")]
     scenes: u64,
@@ -140,9 +140,14 @@ fn recipe(cli: &Cli) -> anyhow::Result<Recipe> {
         } else {
             cli.categories.clone()
         };
-        ObjectSet::Procedural { categories, seeds: cli.object_seeds.clone() }
+        let seeds = cli.object_seeds.clone().unwrap_or(ObjectSet::TRAINING_SEEDS);
+        ObjectSet::Procedural { categories, seeds }
     } else {
-        ObjectSet::folder(cli.objects.as_ref(), &cli.categories).context("--objects")?
+        let folder = ObjectSet::folder(cli.objects.as_ref(), &cli.categories).context("--objects")?;
+        if cli.object_seeds.is_some() {
+            bail!("--object-seeds: expected none with a folder of objects");
+        }
+        folder
     };
     let primitives = if cli.primitives.is_empty() { Primitive::ALL.to_vec() } else { cli.primitives.clone() };
     Ok(Recipe {

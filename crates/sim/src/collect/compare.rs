@@ -15,7 +15,7 @@ pub(super) fn refuse_other(path: &Path, found: &Manifest, expected: &Manifest) -
         ("scenes", number(found.scenes), number(expected.scenes)),
         ("scenes per shard", number(found.scenes_per_shard), number(expected.scenes_per_shard)),
         ("version", version(found), version(expected)),
-        ("recipe", rooted(&found.recipe), rooted(&expected.recipe)),
+        ("recipe", complete(&found.recipe), complete(&expected.recipe)),
     ] {
         if let Some((field, found, expected)) = difference(field.to_owned(), &found, &expected) {
             return Err(CollectError::OtherRecipe { path: path.to_owned(), field, found, expected });
@@ -24,9 +24,13 @@ pub(super) fn refuse_other(path: &Path, found: &Manifest, expected: &Manifest) -
     Ok(())
 }
 
-/// A recipe with the full name of the folder its objects come from: `set` and `./set` are one.
-fn rooted(recipe: &Value) -> Value {
+/// A recipe with the full name of the folder its objects come from, as `set` and `./set` are one, and with what goes without
+/// saying.
+fn complete(recipe: &Value) -> Value {
     let mut recipe = recipe.clone();
+    if let Some(fields) = recipe.as_object_mut() {
+        fields.entry("varied").or_insert(Value::from(0.0));
+    }
     if let Some(Value::String(root)) = recipe.pointer_mut("/objects/folder/root")
         && let Ok(whole) = Path::new(root.as_str()).canonicalize()
     {
@@ -90,6 +94,8 @@ mod tests {
         let set = |names, odd| folder(Path::new("set"), names, odd);
         let ours = manifest(&set(20, "Box/17"), 0.5);
         let other_scenes = Manifest { scenes: 5, ..ours.clone() };
+        let mut varied = ours.clone();
+        varied.recipe["varied"] = Value::from(1.0);
         for (found, difference) in [
             (
                 manifest(&set(20, "Box/x"), 0.5),
@@ -99,6 +105,7 @@ mod tests {
             (manifest(&ObjectSet::training(), 0.5), "recipe.objects procedural, expected folder"),
             (manifest(&set(20, "Box/17"), 0.25), "recipe.guided 0.25, expected 0.5"),
             (other_scenes, "scenes 5, expected 4"),
+            (varied, "recipe.varied 1.0, expected 0.0"),
         ] {
             let error = refuse_other(Path::new("m"), &found, &ours).expect_err(difference).to_string();
             assert_eq!(error, format!("m: made with {difference}"));

@@ -34,7 +34,7 @@ pub enum CollectError {
         source: std::io::Error,
     },
     /// A folder without objects.
-    #[error("{}: no object of the wanted categories, expected <Category>/<id> with mobility.urdf or one other .urdf file", path.display())]
+    #[error("{}: no object of the wanted categories, expected <Category>/<id> or <id> with mobility.urdf or one other .urdf file", path.display())]
     NoObjects {
         /// The folder.
         path: PathBuf,

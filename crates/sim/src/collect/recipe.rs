@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use where2act_core::{Category, Primitive, Seed, Split};
 
 use super::CollectError;
-use crate::object::urdf_in;
+use crate::object::{ObjectError, category_of, urdf_in};
 use crate::trial::Mode;
 
 /// Variations that scenes draw from.
@@ -94,9 +94,9 @@ pub enum ObjectSet {
     },
     /// Folders of a PartNet-Mobility-like data set; scenes take turns over the objects.
     Folder {
-        /// The folder that holds `<Category>/<id>`, each with its URDF file.
+        /// The folder that holds `<Category>/<id>` or `<id>`, each with its URDF file.
         root: PathBuf,
-        /// The objects, as `<Category>/<id>`.
+        /// The objects, as `<Category>/<id>` or `<id>`.
         names: Vec<String>,
     },
 }
@@ -119,8 +119,9 @@ impl ObjectSet {
         Self::Procedural { categories: categories_of(Split::Train), seeds }
     }
 
-    /// The objects in a folder, of `categories` if that is not empty. Folders `<Category>/<id>` in which
-    /// [`urdf_in`] finds no object are left out, and the log says so.
+    /// The objects in a folder, of `categories` if that is not empty: `<Category>/<id>`, and `<id>` alone as PartNet-Mobility
+    /// comes, whose `meta.json` names the category. Folders in which [`urdf_in`] finds no object are left out, and the log
+    /// says so.
     ///
     /// # Errors
     /// If the folder cannot be read or holds no such object.
@@ -134,15 +135,33 @@ impl ObjectSet {
             names.sort();
             Ok::<_, CollectError>(names)
         };
+        let wanted = |category: Option<Category>| {
+            categories.is_empty() || category.is_some_and(|c| categories.contains(&c))
+        };
         let mut names = Vec::new();
         for folder in read(root)? {
-            let wanted =
-                categories.is_empty() || folder.parse().is_ok_and(|c: Category| categories.contains(&c));
-            if !wanted || !root.join(&folder).is_dir() {
+            let path = root.join(&folder);
+            if !path.is_dir() {
                 continue;
             }
-            for id in read(&root.join(&folder))? {
-                let object = root.join(&folder).join(&id);
+            match urdf_in(&path) {
+                Ok(urdf) => {
+                    if wanted(category_of(&urdf)) {
+                        names.push(folder);
+                    }
+                    continue;
+                }
+                Err(error @ ObjectError::AmbiguousFolder { found: 1.., .. }) => {
+                    tracing::warn!("{error}, left out");
+                    continue;
+                }
+                Err(_) => {}
+            }
+            if !wanted(folder.parse().ok()) {
+                continue;
+            }
+            for id in read(&path)? {
+                let object = path.join(&id);
                 if !object.is_dir() {
                     continue;
                 }
@@ -232,6 +251,29 @@ mod tests {
         };
         assert_eq!(names(&[]), ["Box/1", "Box/2", "Door/1"]);
         assert_eq!(names(&[Category::Box]), ["Box/1", "Box/2"]);
+    }
+
+    #[test]
+    fn objects_without_folders_of_their_categories_say_what_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        for (file, text) in [
+            ("148/mobility.urdf", ""),
+            ("148/meta.json", r#"{"model_cat": "Faucet"}"#),
+            ("149/mobility.urdf", ""),
+            ("150/a.urdf", ""),
+            ("150/b.urdf", ""),
+        ] {
+            let path = folder.path().join(file);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        }
+        let names = |categories: &[Category]| match ObjectSet::folder(folder.path(), categories).unwrap() {
+            ObjectSet::Folder { names, .. } => names,
+            other => panic!("{other:?}"),
+        };
+        assert_eq!(names(&[]), ["148", "149"]);
+        assert_eq!(names(&[Category::Faucet]), ["148"]);
+        ObjectSet::folder(folder.path(), &[Category::Door]).expect_err("no doors");
     }
 
     #[test]

@@ -12,7 +12,7 @@ use where2act_core::UnknownCategory;
 pub enum ObjectError {
     /// Nothing is at this path, and it does not read as `CATEGORY:SEED` either.
     #[error(
-        "{spec}: expected a URDF file, a folder with mobility.urdf or one other .urdf file, or CATEGORY:SEED, found none of these"
+        "{spec}: expected a URDF file, a folder with mobility.urdf or one other .urdf file, or CATEGORY:SEED, perhaps with ~N at its end, found none of these"
     )]
     NotFound { spec: String },
     /// A folder without `mobility.urdf` holds several `.urdf` files or none.
@@ -69,6 +69,9 @@ pub enum ObjectError {
     /// Nothing can be seen or touched.
     #[error("{}: expected links with geometry, found {found}", path.display())]
     Empty { path: PathBuf, found: &'static str },
+    /// Millimetres or inches, or far from the origin.
+    #[error("{}: expected metres and an object within {furthest} m of the origin, at least {smallest} m in radius, found one of {radius} m radius that reaches {reach} m", path.display())]
+    Size { path: PathBuf, furthest: f32, smallest: f32, radius: f32, reach: f32 },
     /// A mesh that the URDF names does not exist.
     #[error("{}: expected the mesh of link {link:?} there, found no such file", mesh.display())]
     MissingMesh { mesh: PathBuf, link: String },

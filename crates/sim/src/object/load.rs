@@ -13,7 +13,9 @@ use super::error::ObjectError;
 use super::mesh::{self, MeshFile, Textures};
 use super::soup::Soup;
 use super::urdf::Part;
-use super::{ConvexPiece, Link, Material, Mesh, Object, Visual, cache, partnet, shapes, sides, urdf};
+use super::{
+    ConvexPiece, Link, Material, Mesh, Object, Visual, bounding_sphere, cache, partnet, shapes, sides, urdf,
+};
 
 /// Loads a URDF file with everything it refers to; convex pieces are kept in the folder `cache`.
 pub(super) fn load(path: &Path, cache: Option<&Path>) -> Result<Object, ObjectError> {
@@ -44,7 +46,30 @@ pub(super) fn load(path: &Path, cache: Option<&Path>) -> Result<Object, ObjectEr
         return Err(ObjectError::Empty { path: path.to_owned(), found: "no triangles in any link" });
     }
     let materials = materials.0.into_iter().map(|(material, _)| material).collect();
-    Ok(Object { name: notes.name, category: notes.category, links, materials })
+    let object = Object { name: notes.name, category: notes.category, links, materials };
+    check_size(path, &object)?;
+    Ok(object)
+}
+
+/// Objects reach no further than this from the origin, metres: cameras stand some 5 m away. PartNet-Mobility's reach 1 m.
+const FURTHEST: f32 = 3.0;
+/// Radius of an object at least, metres: fingers are 2 cm wide.
+const SMALLEST: f32 = 0.02;
+
+/// Refuses what no camera sees and no hand can move.
+fn check_size(path: &Path, object: &Object) -> Result<(), ObjectError> {
+    let poses = object.world_from_links(&object.closed());
+    let points = object.links.iter().zip(&poses).flat_map(|(link, pose)| {
+        let visible = link.visuals.iter().flat_map(|visual| &visual.mesh.positions);
+        visible.chain(link.pieces.iter().flat_map(|piece| &piece.points)).map(move |p| pose * p)
+    });
+    let (_, radius) = bounding_sphere(points.clone());
+    let reach = points.map(|p| p.coords.norm()).fold(0.0, f32::max);
+    if radius < SMALLEST || reach > FURTHEST {
+        let path = path.to_owned();
+        return Err(ObjectError::Size { path, furthest: FURTHEST, smallest: SMALLEST, radius, reach });
+    }
+    Ok(())
 }
 
 /// A collision shape: a mesh in its own frame and where it sits on the link.

@@ -20,6 +20,7 @@ mod varied;
 pub use error::ObjectError;
 pub use export::export;
 pub use open::{open, open_with_cache, unvaried, urdf_in};
+pub use partnet::category_of;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -168,10 +169,14 @@ impl ConvexPiece {
     }
 }
 
-/// The middle of the points' bounding box and the radius of the sphere around it that holds them; 0 without points.
+/// The middle of the points' bounding box and the radius of the sphere around it that holds them; the origin and 0 without
+/// points.
 fn bounding_sphere(points: impl Iterator<Item = Point3<f32>> + Clone) -> (Point3<f32>, f32) {
     let infinity = Point3::from(Vector3::repeat(f32::INFINITY));
     let (min, max) = points.clone().fold((infinity, -infinity), |(min, max), p| (min.inf(&p), max.sup(&p)));
+    if min > max {
+        return (Point3::origin(), 0.0);
+    }
     let centre = nalgebra::center(&min, &max);
     (centre, points.map(|p| (p - centre).norm()).fold(0.0, f32::max))
 }

@@ -27,6 +27,12 @@ struct Meta {
     model_cat: String,
 }
 
+/// The category of the object with this URDF file, if its folder tells: by `meta.json`, or by the name of the folder around it.
+#[must_use]
+pub fn category_of(urdf: &Path) -> Option<Category> {
+    annotations(urdf).category
+}
+
 /// Reads what there is; nothing of it has to be there.
 pub(super) fn annotations(urdf: &Path) -> Annotations {
     // "." and "..", and links, have no names of their own.

@@ -16,7 +16,7 @@ use crate::list::objects_in;
     after_help = "Examples:\n  objects check data\n  objects check Faucet:1 cabinet.urdf\n\nExits with 1 if any object fails."
 )]
 pub(crate) struct Args {
-    /// URDF files, folders of one or of many objects, or CATEGORY:SEED.
+    /// URDF files, folders of one or of many objects, or CATEGORY:SEED; with ~N at its end, variation N of one.
     #[arg(required = true, value_name = "DIR_OR_OBJECT")]
     objects: Vec<String>,
 }

@@ -17,7 +17,7 @@ Examples:
   objects render data/StorageFurniture/45746 --open 0.7 --azimuth 30 --out open.png
   objects render Faucet:1 --q 0.2,-0.5 --maps --out faucet.png")]
 pub(crate) struct Args {
-    /// A URDF file, its folder, or CATEGORY:SEED.
+    /// A URDF file, its folder, or CATEGORY:SEED; with ~N at its end, variation N of it.
     object: String,
     /// The picture, a .png file.
     #[arg(long, value_name = "PNG")]

@@ -33,7 +33,7 @@ fx fy fz (forward), and optionally q_<link> (start position of the joint that mo
 (valid, reason, q_start, q_end, success), which are compared."
 )]
 struct Cli {
-    /// A URDF file, its folder, or CATEGORY:SEED.
+    /// A URDF file, its folder, or CATEGORY:SEED; with ~N at its end, variation N of it.
     object: String,
     /// pushing, pushing-up, pushing-left, pulling, pulling-up or pulling-left.
     #[arg(long, short, required_unless_present = "batch")]
