@@ -1,6 +1,8 @@
 //! Online sampling: what the current network would do is tried, beside random trials. Taking the best of thousands of
 //! proposals finds whatever the score is wrong about; this is where it learns that.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use rand::seq::{SliceRandom, index};
 use rayon::prelude::*;
 use where2act_core::{Policy, Primitive, Seed, Trial};
@@ -50,10 +52,11 @@ pub fn count(trials: &NewTrials, policy: Policy) -> (usize, usize) {
 
 /// New trials on randomly drawn scenes of `scenes`: on each of them some are the network's own best proposals and the
 /// others random, primitives taking turns. Each folder of the data has its own preparer. `progress` is called after every
-/// scene. A scene that cannot be made again costs no other its trials.
+/// scene; once `stop` is set no other scene is begun. A scene that cannot be made again costs no other its trials.
 ///
 /// # Errors
 /// If the network cannot predict at all.
+#[expect(clippy::too_many_arguments, reason = "each is another thing")]
 pub fn explore(
     network: &Network,
     preparers: &[Preparer],
@@ -61,6 +64,7 @@ pub fn explore(
     scenes: &[SceneId],
     config: &AdaptiveConfig,
     seed: Seed,
+    stop: &AtomicBool,
     progress: &(dyn Fn() + Sync),
 ) -> Result<Explored, ExploreError> {
     let weights = Weights { network: network.clone(), sha256: String::new() };
@@ -83,7 +87,8 @@ pub fn explore(
         Ok((id, trials))
     };
     let mut explored = Explored::default();
-    for result in drawn.into_par_iter().enumerate().map(one).collect::<Vec<_>>() {
+    let left = drawn.into_par_iter().enumerate().filter(|_| !stop.load(Ordering::Relaxed));
+    for result in left.map(one).collect::<Vec<_>>() {
         match result {
             Ok(trials) => explored.trials.push(trials),
             Err(error) => explored.failed.push(error),

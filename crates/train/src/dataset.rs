@@ -19,7 +19,9 @@ pub enum DataError {
     #[error("{}: no shards, expected shard-00000.safetensors and so on (make them with `collect`)", .0.display())]
     Empty(PathBuf),
     /// No scene belongs to a part that is needed.
-    #[error("{folders}: none of the {scenes} scenes belongs to {part:?}; collect more objects")]
+    #[error(
+        "{folders}: none of the {scenes} scenes belongs to {part:?}, {novel} are of the categories kept for judging (Bucket, KitchenPot, Safe, Table, WashingMachine); collect more objects of others"
+    )]
     EmptyPart {
         /// The folders.
         folders: String,
@@ -27,6 +29,8 @@ pub enum DataError {
         part: Part,
         /// Scenes there are.
         scenes: usize,
+        /// Those of [`Part::Novel`] among them.
+        novel: usize,
     },
     /// A primitive never succeeds, so nothing can be learnt about it.
     #[error(
@@ -174,8 +178,10 @@ impl Dataset {
             .map(|(id, _)| id)
             .collect();
         if mine.is_empty() {
-            let scenes = self.shards.iter().map(|s| s.scenes().len()).sum();
-            return Err(DataError::EmptyPart { folders: self.show_folders(), part, scenes });
+            let all = || self.shards.iter().flat_map(Shard::scenes);
+            let novel = all().filter(|info| Part::of(&info.object, info.category) == Part::Novel).count();
+            let (folders, scenes) = (self.show_folders(), all().count());
+            return Err(DataError::EmptyPart { folders, part, scenes, novel });
         }
         Ok(mine)
     }

@@ -143,6 +143,11 @@ fn run(args: &Args) -> anyhow::Result<()> {
     for damage in &dataset.skipped {
         eprintln!("skipped: {damage}");
     }
+    for Folder { path, manifest, shards } in dataset.folders() {
+        if (shards.len() as u64) < manifest.shards() {
+            eprintln!("{}: {} of its {} shards are there", path.display(), shards.len(), manifest.shards());
+        }
+    }
     if !args.work.quiet {
         eprintln!("{}", Summary::new(&config.model()));
     }
@@ -165,7 +170,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     };
     let mut on_epoch = |report: &EpochReport<'_>| {
         bar.say(&show_epoch(report));
-        explore(&config, report, preparers.as_deref().ok(), &dataset, &bar)
+        explore(&config, report, preparers.as_deref().ok(), &dataset, &stop, &bar)
     };
     let control = Control { stop: &stop, on_step: &mut on_step, on_epoch: &mut on_epoch };
     let outcome = train(&config, Arc::clone(&dataset), &out, &device, control)?;
@@ -276,7 +281,8 @@ fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Resu
         };
         let plan = Plan { resume: true, ..Plan::new(scenes) };
         let folder = Path::new("data").join(format!("{}{suffix}", config.name));
-        let collector = Collector::new(&folder, recipe, plan)?;
+        let collector = Collector::new(&folder, recipe, plan)
+            .context("the data of this name; use it with --data, or give the configuration another name")?;
         let bar = work.progress(collector.scenes(), "collecting");
         collector.run(stop, &|scenes, collected| {
             let message = format!("successes: {}", collected.tally.successes());
@@ -305,6 +311,7 @@ fn explore(
     report: &EpochReport<'_>,
     preparers: Option<&[Preparer]>,
     dataset: &Dataset,
+    stop: &AtomicBool,
     bar: &Progress,
 ) -> NewTrials {
     let (Some(preparers), true, true) = (preparers, config.adaptive.enabled, report.joint) else {
@@ -319,7 +326,16 @@ fn explore(
         bar.tell(|| message.clone());
         bar.set_message(message);
     };
-    match adaptive::explore(report.network, preparers, dataset, &scenes, &config.adaptive, seed, &progress) {
+    match adaptive::explore(
+        report.network,
+        preparers,
+        dataset,
+        &scenes,
+        &config.adaptive,
+        seed,
+        stop,
+        &progress,
+    ) {
         Ok(Explored { trials, failed }) => {
             if let Some(first) = failed.first() {
                 tracing::error!(

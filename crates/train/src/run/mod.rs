@@ -46,7 +46,8 @@ pub type NewTrials = Vec<(SceneId, Vec<Trial>)>;
 
 /// Where training is told to stop, and tells how it goes.
 pub struct Control<'a> {
-    /// Set by Ctrl-C or SIGTERM: the step under way ends, a checkpoint is written, and the run returns.
+    /// Set by Ctrl-C or SIGTERM: the step under way ends, a checkpoint is written, and the run returns. What ends an epoch is
+    /// given up for that; it comes after the epoch's last step, which is done again.
     pub stop: &'a AtomicBool,
     /// Called after every step.
     pub on_step: &'a mut dyn FnMut(&StepReport),
@@ -160,9 +161,10 @@ impl Run<'_> {
                 self.save()?;
                 return Ok(self.outcome(false));
             }
-            self.end_epoch(epoch)?;
-            if self.control.stop.load(Ordering::Relaxed) {
-                return Ok(self.outcome(self.state.progress.step == steps));
+            if !self.end_epoch(epoch)? {
+                let mut outcome = self.outcome(false);
+                outcome.progress.step -= 1;
+                return Ok(outcome);
             }
         }
         Ok(self.outcome(true))
@@ -175,6 +177,10 @@ impl Run<'_> {
             weights: weights.is_dir().then_some(weights),
             progress: self.state.progress.clone(),
         }
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.control.stop.load(Ordering::Relaxed)
     }
 
     /// Runs steps up to `end` or until told to stop.
@@ -202,7 +208,7 @@ impl Run<'_> {
                 }
             });
             for step in first..end {
-                if self.control.stop.load(Ordering::Relaxed) {
+                if self.is_stopped() {
                     break;
                 }
                 let began = Instant::now();
@@ -211,8 +217,10 @@ impl Run<'_> {
                 let reading = began.elapsed().as_secs_f64();
                 self.step(step, &batch, reading)?;
                 self.state.progress.secs += began.elapsed().as_secs_f64();
-                // The end of an epoch saves only after validation and online sampling, which belong to it.
-                if self.saved_at.elapsed() > CHECKPOINT_EVERY && step + 1 < end {
+                // The end of an epoch saves only after validation and online sampling, which belong to it. Whoever stops those
+                // goes on from the step before.
+                let due = self.saved_at.elapsed() > CHECKPOINT_EVERY || step + 2 == end;
+                if due && step + 1 < end {
                     self.save()?;
                 }
             }
@@ -257,7 +265,9 @@ impl Run<'_> {
         towards(mean, &self.state.learner.valid(), 1.0 / steps as f64)
     }
 
-    fn end_epoch(&mut self, epoch: usize) -> Result<(), TrainError> {
+    /// Validates, keeps the weights, explores and saves; `false` if told to stop before that was done, and then nothing is
+    /// saved.
+    fn end_epoch(&mut self, epoch: usize) -> Result<bool, TrainError> {
         self.check_weights()?;
         let learner = self.state.mean.clone().unwrap_or_else(|| self.state.learner.valid());
         let network = learner.network.clone();
@@ -273,6 +283,9 @@ impl Run<'_> {
         let scored = (phase != Phase::Look).then(|| score(VALIDATION_SCENES)).transpose()?;
         let judged = scored.as_ref().map(|scored| Validation::new(&network, scored));
         let ways = self.ways(&learner, seed)?;
+        if self.is_stopped() {
+            return Ok(false);
+        }
         self.log(&serde_json::json!({ "step": step, "epoch": epoch, "validation": judged, "ways": ways }))?;
         let validation = judged.unwrap_or_default();
         // Proposals and actionability are learnt in the joint phase alone: weights of the phases before cannot be used.
@@ -299,6 +312,9 @@ impl Run<'_> {
         let (validation, network) = (&validation, &network);
         let report = EpochReport { step, joint, epoch, validation, ways, is_best, network };
         let new = (self.control.on_epoch)(&report);
+        if self.is_stopped() {
+            return Ok(false);
+        }
         if !new.is_empty() {
             let [own, random] =
                 [Policy::Adaptive, Policy::Random].map(|policy| adaptive::count(&new, policy));
@@ -308,7 +324,8 @@ impl Run<'_> {
             self.state.replay.add(scene, trials);
         }
         curves::draw(&self.out.join(files::METRICS), &self.out.join(files::CURVES))?;
-        self.save()
+        self.save()?;
+        Ok(true)
     }
 
     /// How much the ways that points of validation scenes can go differ from those the features tell.
