@@ -9,25 +9,48 @@ use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::Tensor;
 use where2act_model::{ModelConfig, Network};
 
-/// The mean of the weights and running statistics of some networks, number by number, described as the last of them is; `None`
-/// of none, or if they differ in more than their names and in how they are shown what they see.
-#[must_use]
-pub fn mean(networks: Vec<Network>) -> Option<Network> {
-    let last = networks.last()?.config().clone();
+use crate::start::difference;
+
+/// Why networks have no mean.
+#[derive(Debug, thiserror::Error)]
+pub enum MeanError {
+    /// There are none.
+    #[error("expected networks, found none")]
+    Empty,
+    /// They differ in more than their weights, their names and how they are shown what they see.
+    #[error("expected networks that differ in their weights alone, found {field} {first} and {second}")]
+    Different {
+        /// In what.
+        field: String,
+        /// What it is in one of them.
+        first: String,
+        /// What it is in the last.
+        second: String,
+    },
+}
+
+/// The mean of the weights and running statistics of some networks, number by number, described as the last of them is.
+///
+/// # Errors
+/// [`MeanError`].
+pub fn mean(networks: Vec<Network>) -> Result<Network, MeanError> {
+    let last = networks.last().ok_or(MeanError::Empty)?.config().clone();
     let comparable = |network: &Network| ModelConfig {
         name: last.name.clone(),
         preprocessing: last.preprocessing.clone(),
         ..network.config().clone()
     };
-    if networks.iter().any(|network| comparable(network) != last) {
-        return None;
+    if let Some([field, first, second]) =
+        networks.iter().find_map(|network| difference(&comparable(network), &last))
+    {
+        return Err(MeanError::Different { field, first, second });
     }
     let mut networks = networks.into_iter().rev();
-    let mut mean = networks.next()?;
+    let mut mean = networks.next().ok_or(MeanError::Empty)?;
     for (count, network) in (2u32..).zip(networks) {
         mean = towards(mean, &network, 1.0 / f64::from(count));
     }
-    Some(mean)
+    Ok(mean)
 }
 
 /// Takes the mean a step towards the newest weights: `mean + share * (newest - mean)`, of running statistics as well. Both
@@ -106,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mean_counts_every_network_alike_and_is_none_of_different_ones() {
+    fn a_mean_counts_every_network_alike_and_there_is_none_of_different_ones() {
         let config = ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(64);
         let of = |config: &ModelConfig, seed| Network::new(config, Seed(seed), &Device::flex());
         let scores = |network: &Network| floats(network.heads.score.mlp1.linear.weight.val());
@@ -117,6 +140,8 @@ mod tests {
             assert!((found - sum / 3.0).abs() < 1e-6);
         }
         let wider = ModelConfig { hidden: config.hidden + 1, ..config.clone() };
-        assert!(mean(vec![of(&config, 1), of(&wider, 1)]).is_none() && mean(Vec::new()).is_none());
+        let error = mean(vec![of(&config, 1), of(&wider, 1)]).expect_err("of two sizes").to_string();
+        assert!(error.contains(&format!("hidden {} and {}", config.hidden, wider.hidden)), "{error}");
+        assert!(matches!(mean(Vec::new()), Err(MeanError::Empty)));
     }
 }

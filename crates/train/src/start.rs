@@ -95,7 +95,7 @@ pub fn first_weights(
 }
 
 /// The first field in which two descriptions differ, and what it is in each.
-fn difference(found: &ModelConfig, expected: &ModelConfig) -> Option<[String; 3]> {
+pub(crate) fn difference(found: &ModelConfig, expected: &ModelConfig) -> Option<[String; 3]> {
     let [found, expected] = [found, expected].map(|config| serde_json::to_value(config).unwrap_or_default());
     let fields =
         [&found, &expected].into_iter().filter_map(|value| value.as_object()).flat_map(|all| all.keys());

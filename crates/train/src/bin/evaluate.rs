@@ -30,7 +30,7 @@ struct Args {
     /// Weights folder.
     #[arg(long)]
     weights: PathBuf,
-    /// `procedural`, or a folder of objects (`<Category>/<id>/mobility.urdf`), which take turns.
+    /// `procedural`, or a folder of objects (`<Category>/<id>/mobility.urdf`, or `<id>` alone), which take turns.
     #[arg(long, default_value = "procedural")]
     objects: String,
     /// Which generated objects: shapes that training has not seen, or categories it has not seen. Default: shapes.
@@ -57,8 +57,8 @@ struct Args {
     /// Also execute proposals whose hand has no room by the depth map.
     #[arg(long)]
     no_clearance: bool,
-    /// Take proposals anywhere in the view, which then comes without a mask: those where nothing moves fail. Otherwise they are
-    /// kept to the parts that move, as published.
+    /// Take proposals wherever the view has depth, without a mask: those where nothing moves fail. The background has no depth,
+    /// and pictures are judged on the object alone too. Otherwise proposals are kept to the parts that move, as published.
     #[arg(long)]
     anywhere: bool,
     /// Root of the randomness.

@@ -43,9 +43,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         card += &format!(" {}", sha256.get(..12).unwrap_or(sha256));
     }
     card += ".\n";
-    let Some(mean) = mean(loaded.into_iter().map(|weights| weights.network).collect()) else {
-        bail!("expected networks that differ in their weights alone, found others in {:?}", args.weights)
-    };
+    let mean = mean(loaded.into_iter().map(|weights| weights.network).collect())?;
     if args.out.exists() {
         bail!("--out {}: expected a new folder, found one", args.out.display());
     }

@@ -50,8 +50,8 @@ pub struct EvaluateConfig {
     ///
     /// [`Options::clearance`]: where2act_infer::Options::clearance
     pub clearance: bool,
-    /// Whether proposals may be anywhere in the view, which then comes without a mask, and fail where nothing moves; otherwise
-    /// they are kept to movable parts, as published.
+    /// Whether proposals may be wherever the view has depth, which the background has not, and fail where nothing moves;
+    /// pictures then come without a mask. Otherwise they are kept to movable parts, as published.
     #[serde(default)]
     pub anywhere: bool,
 }
