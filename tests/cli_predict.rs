@@ -237,29 +237,93 @@ fn weights_that_are_missing_cost_those_alone_who_need_them() {
 }
 
 #[test]
-fn an_npy_with_a_camera_is_a_depth_map() {
+fn an_npy_is_what_its_shape_says_with_a_camera_or_without() {
+    let bench = Bench::new();
+    let write = |name: &str, (rows, columns): (usize, usize), values: &dyn Fn(usize, &mut [f32])| {
+        let mut bytes = Vec::new();
+        where2act_infer::write::write_npy_grid(&mut bytes, (rows, columns), values).unwrap();
+        std::fs::write(bench.path(name), bytes).unwrap();
+    };
+    let point = |v: usize, row: &mut [f32]| {
+        row.fill(0.5);
+        row[..3].copy_from_slice(&[v as f32 * 1e-2, (v * v % 97) as f32 * 1e-2, 2.0]);
+    };
+    let depth = |_: usize, row: &mut [f32]| row.fill(1.5);
+    write("depth.npy", (60, 80), &depth);
+    write("small-depth.npy", (8, 8), &depth);
+    write("points.npy", (300, 3), &point);
+    write("points-colours-normals.npy", (300, 9), &point);
+    let kinds = |args: &[&str]| {
+        let run = bench.predict(args).args(["--json", "--primitive", "pulling"]).assert().success();
+        let lines = run.get_output().stdout.split(|&b| b == b'\n').filter(|line| !line.is_empty());
+        let inputs = lines.map(|line| parse_line(line).input);
+        inputs.map(|input| (input.kind, input.width, input.height)).collect::<Vec<_>>()
+    };
+    let map = |(w, h)| ("depth".to_owned(), w, h);
+    let scan = ("cloud".to_owned(), 300, 1);
+    assert_eq!(kinds(&["points.npy"]), [scan.clone()]);
+    assert_eq!(kinds(&["points-colours-normals.npy"]), [scan.clone()]);
+    // A camera is that of the others.
+    assert_eq!(
+        kinds(&["points.npy", "points-colours-normals.npy", "depth.npy", "small-depth.npy", "--fov", "40"]),
+        [scan.clone(), scan, map((80, 60)), map((8, 8))]
+    );
+    for without_camera in ["depth.npy", "small-depth.npy"] {
+        let refused = bench.predict(&[without_camera, "--json"]).assert().failure().code(2);
+        let stderr = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+        assert!(stderr.contains(without_camera) && stderr.contains("--intrinsics or --fov"), "{stderr}");
+    }
+}
+
+#[test]
+fn a_cut_out_is_its_own_mask() {
+    let bench = Bench::new();
+    let picture = image::RgbaImage::from_fn(160, 120, |x, y| {
+        let inside = (30..90).contains(&x) && (20..100).contains(&y);
+        image::Rgba([x as u8, y as u8, 90, if inside { 255 } else { 0 }])
+    });
+    picture.save(bench.path("cut-out.png")).unwrap();
+    let run = bench.predict(&["cut-out.png", "--json"]).assert().success();
+    let prediction = parse_line(&run.get_output().stdout);
+    let mut proposals = prediction.primitives.iter().flat_map(|of| &of.proposals);
+    assert!(proposals.all(|p| (30..90).contains(&p.pixel.u) && (20..100).contains(&p.pixel.v)));
+}
+
+#[test]
+fn numbers_that_are_seldom_meant_are_told_but_not_refused() {
     let bench = Bench::new();
     let mut bytes = Vec::new();
-    let row = |_: usize, row: &mut [f32]| row.fill(1.5);
-    where2act_infer::write::write_npy_grid(&mut bytes, (60, 80), row).unwrap();
-    std::fs::write(bench.path("depth.npy"), bytes).unwrap();
-    let kind = |args: &[&str]| {
-        let run = bench.predict(args).args(["--json", "--primitive", "pulling"]).assert().success();
-        let input = parse_line(&run.get_output().stdout).input;
-        (input.kind, input.width, input.height)
-    };
-    assert_eq!(kind(&["depth.npy", "--fov", "40"]), ("depth".to_owned(), 80, 60));
-    // One of three columns is a scan all the same: a camera may be that of other files.
-    let mut bytes = Vec::new();
-    let row =
-        |v: usize, row: &mut [f32]| row.copy_from_slice(&[v as f32 * 1e-2, (v * v % 97) as f32 * 1e-2, 2.0]);
-    where2act_infer::write::write_npy_grid(&mut bytes, (300, 3), row).unwrap();
-    std::fs::write(bench.path("points.npy"), bytes).unwrap();
-    assert_eq!(kind(&["points.npy", "--fov", "40"]), ("cloud".to_owned(), 300, 1));
-    // Without a camera a row is a point, of which the first three numbers count.
-    let refused = bench.predict(&["depth.npy", "--json"]).assert().failure().code(2);
-    let stderr = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
-    assert!(stderr.contains("depth.npy"), "{stderr}");
+    let millimetres = |_: usize, row: &mut [f32]| row.fill(1500.0);
+    where2act_infer::write::write_npy_grid(&mut bytes, (120, 160), millimetres).unwrap();
+    std::fs::write(bench.path("millimetres.npy"), bytes).unwrap();
+    for (args, words) in [
+        (vec!["picture.png", "--depth", "millimetres.npy", "--fov", "40"], vec!["in metres", "1500"]),
+        (vec!["depth.png", "--intrinsics", "600,600,640,360"], vec!["160 x 120", "640, 360"]),
+        (vec!["depth.png", "--intrinsics", "150,150,80,60"], vec![]),
+    ] {
+        let run = bench.predict(&args).args(["--json", "--primitive", "pulling"]).assert().success();
+        let stderr = String::from_utf8_lossy(&run.get_output().stderr).into_owned();
+        assert!(words.iter().all(|word| stderr.contains(word)), "{args:?}: {stderr}");
+        assert!(!words.is_empty() || stderr.is_empty(), "{args:?}: {stderr}");
+    }
+}
+
+#[test]
+fn a_folder_gets_a_folder_of_results_for_each_file_however_many_there_are() {
+    let bench = Bench::new();
+    std::fs::create_dir(bench.path("one")).unwrap();
+    std::fs::copy(bench.path("picture.png"), bench.path("one/picture.png")).unwrap();
+    let args = ["--no-pictures", "--primitive", "pulling", "--out"];
+    bench.predict(&["one"]).args(args).arg("out").assert().success();
+    bench.prediction("out/picture");
+    bench.predict(&["picture.png"]).args(args).arg("out2").assert().success();
+    bench.prediction("out2");
+    // What cannot be written costs no other its results.
+    std::fs::copy(bench.path("picture.png"), bench.path("one/z.png")).unwrap();
+    std::fs::create_dir(bench.path("out3")).unwrap();
+    std::fs::write(bench.path("out3/picture"), "a file").unwrap();
+    bench.predict(&["one"]).args(args).arg("out3").assert().failure().code(2);
+    bench.prediction("out3/z");
 }
 
 #[test]
@@ -306,8 +370,13 @@ fn refusals_are_one_line_that_names_the_culprit() {
     std::fs::File::create(bench.path("huge.png")).unwrap().set_len(600 << 20).unwrap();
     std::fs::create_dir(bench.path("nothing")).unwrap();
     image::GrayImage::new(8, 8).save(bench.path("small.png")).unwrap();
+    let mut bytes = Vec::new();
+    where2act_infer::write::write_npy_grid(&mut bytes, (120, 160), |_, row| row.fill(1.5)).unwrap();
+    std::fs::write(bench.path("depth.npy"), bytes).unwrap();
     let cases: &[(&[&str], &[&str])] = &[
-        (&["missing.png"], &["missing.png"]),
+        (&["missing.png"], &["missing.png", "No such file"]),
+        (&["missing/"], &["missing/", "No such file"]),
+        (&["depth.npy", "--depth", "depth.png", "--fov", "40"], &["--depth", "found a depth map"]),
         (&["broken.jpg"], &["broken.jpg", "expected", "found"]),
         (&["empty.ply"], &["empty.ply", "expected", "found"]),
         (&["notes.txt"], &["notes.txt", "expected a png"]),

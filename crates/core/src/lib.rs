@@ -31,6 +31,9 @@ mod seed;
 pub mod shard;
 mod trial;
 
+/// The version whose points and transforms the public types have.
+pub use nalgebra;
+
 pub use artifact::{sha256_hex, write_whole};
 pub use camera::{Camera, ImageSize, Intrinsics, Pixel};
 pub use category::{Category, Split, UnknownCategory};

@@ -71,20 +71,30 @@ impl NearestIndex {
             return best;
         }
         let home = self.cell_of(to);
+        let consider = |best: &mut Vec<(u32, f32)>, i: u32, p: &Point3<f32>| {
+            let d = (p - to).norm_squared();
+            if best.len() < N || best.last().is_some_and(|b| d < b.1) {
+                let at = best.partition_point(|b| (b.1, b.0) < (d, i));
+                best.insert(at, (i, d));
+                best.truncate(N);
+            }
+        };
         let furthest = self.cells.into_iter().max().unwrap_or(1) as i64;
+        let mut cells = 0;
         for ring in 0..=furthest {
             let reach = (ring - 1).max(0) as f32 * self.cell;
             if best.len() == N && best.last().is_some_and(|b| b.1 <= reach * reach) {
                 break;
             }
-            self.for_ring(home, ring, |i, p| {
-                let d = (p - to).norm_squared();
-                if best.len() < N || best.last().is_some_and(|b| d < b.1) {
-                    let at = best.partition_point(|b| (b.1, b.0) < (d, i));
-                    best.insert(at, (i, d));
-                    best.truncate(N);
-                }
-            });
+            // A few points near and most of them far away, as a background is: cells are empty for longer than looking at every
+            // point takes.
+            cells += 24 * ring * ring + 2;
+            if cells > self.points.len() as i64 {
+                best.clear();
+                (0..).zip(&self.points).for_each(|(i, p)| consider(&mut best, i, p));
+                break;
+            }
+            self.for_ring(home, ring, |i, p| consider(&mut best, i, p));
         }
         best
     }
@@ -148,10 +158,13 @@ mod tests {
         fn finds_what_a_search_through_all_finds(
             points in prop::collection::vec(prop::array::uniform3(-1.0f32..1.0), 0..200),
             flat in any::<bool>(),
+            far in any::<bool>(),
             to in prop::array::uniform3(-2.0f32..2.0),
         ) {
-            let points: Vec<_> =
+            let mut points: Vec<_> =
                 points.into_iter().map(|[x, y, z]| Point3::new(x, y, if flat { 0.5 } else { z })).collect();
+            // A background in which what is near fills one cell.
+            points.extend((0..200).filter(|_| far).map(|i| Point3::new(i as f32, 200.0 - i as f32, 900.0)));
             let index = NearestIndex::new(points.clone());
             let to = Point3::from(to);
             let mut all: Vec<(f32, u32)> = (0..points.len()).map(|i| ((points[i] - to).norm_squared(), i as u32)).collect();

@@ -6,7 +6,7 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{DynamicImage, ImageEncoder, ImageFormat};
 use nalgebra::Point3;
 use npyz::WriterBuilder;
-use where2act_infer::read::{parse_depth_png, parse_mask, parse_npy, parse_picture, parse_scan};
+use where2act_infer::read::{DepthMap, parse_depth_png, parse_mask, parse_npy, parse_picture, parse_scan};
 
 fn points(n: usize) -> Vec<Point3<f32>> {
     (0..n).map(|i| Point3::new(i as f32 * 0.01, (i % 7) as f32 - 3.0, 1.0 + i as f32 * 1e-3)).collect()
@@ -90,6 +90,25 @@ fn npy_files_of_npyz_in_both_orders() {
     }
 }
 
+#[test]
+fn npy_files_with_numbers_of_sixteen_bits_and_depth_maps_with_an_axis_of_one() {
+    let halves = |shape: &str, values: &[f32]| {
+        let header = format!("{{'descr': '<f2', 'fortran_order': False, 'shape': {shape}, }}\n");
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        bytes.extend(values.iter().flat_map(|&v| half::f16::from_f32(v).to_le_bytes()));
+        bytes
+    };
+    let bytes = halves("(2, 3)", &[0.5, -0.25, 1.0, 2.0, 0.125, 1.5]);
+    assert_eq!(parse_scan(&bytes).unwrap(), [Point3::new(0.5, -0.25, 1.0), Point3::new(2.0, 0.125, 1.5)]);
+    let depth = DepthMap::from_npy(&halves("(2, 3, 1)", &[0.5, 0.0, 1.0, 2.0, 0.125, 1.5]), 0.001).unwrap();
+    assert_eq!((depth.size.width, depth.size.height, depth.metres[3]), (3, 2, 2.0));
+    // A depth map without a camera is no scan.
+    let square = parse_scan(&halves("(12, 12)", &[1.0; 144])).unwrap_err().to_string();
+    assert!(square.contains("[points, 3]") && square.contains("[12, 12]"), "{square}");
+}
+
 /// A picture whose left half is red and whose right half is blue, as every pixel format of png and jpeg there is.
 #[test]
 fn every_kind_of_pixel_becomes_rgb() {
@@ -109,6 +128,7 @@ fn every_kind_of_pixel_becomes_rgb() {
         [DynamicImage::ImageRgb16(picture.to_rgb16()), DynamicImage::ImageRgba16(picture.to_rgba16())]
     {
         let read = png(sixteen);
+        assert_eq!(read.opaque, None);
         assert!(near(read.rgb[0], [230, 40, 30], 1) && near(read.rgb[15], [20, 60, 220], 1));
     }
     for grey in
@@ -122,6 +142,7 @@ fn every_kind_of_pixel_becomes_rgb() {
         image::RgbaImage::from_fn(4, 1, |x, _| image::Rgba([200, 0, 100, [0, 128, 255, 255][x as usize]]));
     let read = png(DynamicImage::ImageRgba8(glass));
     assert_eq!((read.rgb[0], read.rgb[2]), ([255; 3], [200, 0, 100]));
+    assert_eq!(read.opaque, Some(vec![false, true, true, true]));
     assert!(near(read.rgb[1], [227, 127, 177], 1));
     // Written with Pillow 12: `Image.convert("CMYK").save(quality=95)` of the picture above.
     let read = parse_picture(include_bytes!("data/cmyk.jpg")).unwrap();

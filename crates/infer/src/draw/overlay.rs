@@ -1,6 +1,7 @@
 //! One primitive on one picture: heat, colour bar, hands, scores.
 
 use image::RgbImage;
+use rayon::prelude::*;
 use where2act_core::{Observation, Primitive, PrimitivePrediction, Proposal};
 
 use super::canvas::{Canvas, Rgba, label_extent, text_width};
@@ -56,16 +57,19 @@ pub(crate) fn overlay(view: &View, maps: &DenseMaps<'_>, of: &PrimitivePredictio
 }
 
 fn paint_heat(canvas: &mut Canvas, view: &View, maps: &DenseMaps<'_>, primitive: Primitive, end: f32) {
-    for y in 0..view.size.height {
-        for x in 0..view.size.width {
-            let value = match view.spot(x, y) {
-                Spot::Picture(u, v) => maps.at(primitive, u, v),
-                Spot::Point(i) => maps.at_point(primitive, i as usize),
-                Spot::Nothing => None,
-            };
+    let value = |x, y| match view.spot(x, y) {
+        Spot::Picture(u, v) => maps.at(primitive, u, v),
+        Spot::Point(i) => maps.at_point(primitive, i as usize),
+        Spot::Nothing => None,
+    };
+    let rows = (0..view.size.height).into_par_iter();
+    let rows: Vec<Vec<Option<f32>>> =
+        rows.map(|y| (0..view.size.width).map(|x| value(x, y)).collect()).collect();
+    for (y, row) in (0..).zip(rows) {
+        for (x, value) in (0..).zip(row) {
             if let Some(value) = value {
                 let [r, g, b] = heat_colour(value / end);
-                canvas.blend(x as i32, y as i32, [r, g, b, heat_opacity(value / end)]);
+                canvas.blend(x, y, [r, g, b, heat_opacity(value / end)]);
             }
         }
     }

@@ -32,20 +32,30 @@ pub const MAX_POINTS: usize = 20_000_000;
 pub enum FileKind {
     /// A colour picture: png, jpg, webp.
     Picture,
-    /// A 16-bit greyscale png: depth.
+    /// Depth: a 16-bit greyscale png, or an npy of `[height, width]`.
     Depth,
-    /// Points: ply, pcd, npy.
+    /// Points: ply, pcd, or an npy of `[points, 3 or more]` or `[height, width, 3 or more]`.
     Scan,
 }
 
-/// The kind of a file by its extension and, for png, its header; `None` for files that are no input.
+/// The kind of a file by its extension and, for png and npy, its header; `None` for files that are no input. An npy of two axes
+/// is a table of points if it has less than 8 columns, or at most 16 and more than eight times as many rows.
 ///
 /// # Errors
 /// If the file cannot be opened.
 pub fn file_kind(path: &Path) -> Result<Option<FileKind>, ReadError> {
     let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
     Ok(match extension.as_deref() {
-        Some("ply" | "pcd" | "npy") => Some(FileKind::Scan),
+        Some("ply" | "pcd") => Some(FileKind::Scan),
+        Some("npy") => {
+            let mut head = Vec::new();
+            let file = File::open(path).map_err(io(path))?;
+            file.take(npy::MAX_HEADER as u64 + 16).read_to_end(&mut head).map_err(io(path))?;
+            // Whoever reads it as points says what is wrong with it.
+            let points =
+                npy::parse_header(&head).map_or(true, |(header, _)| npy::holds_points(&header.shape));
+            Some(if points { FileKind::Scan } else { FileKind::Depth })
+        }
         Some("jpg" | "jpeg" | "webp") => Some(FileKind::Picture),
         Some("png") => {
             // Signature, length, "IHDR", width, height, then bit depth and colour type.
@@ -89,7 +99,7 @@ pub fn read_picture(path: &Path) -> Result<Picture, ReadError> {
 }
 
 /// Reads a depth map: a 16-bit grey png in units of `metres_per_unit`, or an npy of `[height, width]` (floating
-/// point: metres; integers: units).
+/// point: metres, whatever the unit; integers: units).
 ///
 /// # Errors
 /// As [`read_bytes`], and if it is not a depth map.
@@ -161,6 +171,7 @@ pub(crate) enum Scalar {
     U32,
     I64,
     U64,
+    F16,
     F32,
     F64,
 }
@@ -169,7 +180,7 @@ impl Scalar {
     pub(crate) const fn bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
+            Self::I16 | Self::U16 | Self::F16 => 2,
             Self::I32 | Self::U32 | Self::F32 => 4,
             Self::I64 | Self::U64 | Self::F64 => 8,
         }
@@ -195,6 +206,7 @@ impl Scalar {
             Self::U32 => f64::from(word as u32),
             Self::I64 => word as i64 as f64,
             Self::U64 => word as f64,
+            Self::F16 => f64::from(half::f16::from_bits(word as u16)),
             Self::F32 => f64::from(f32::from_bits(word as u32)),
             Self::F64 => f64::from_bits(word),
         })

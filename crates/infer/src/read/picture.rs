@@ -19,8 +19,10 @@ const MAX_SIDE: u32 = 65_535;
 pub struct Picture {
     /// Width and height.
     pub size: ImageSize,
-    /// sRGB, row-major.
+    /// sRGB, row-major; over white where the picture is transparent.
     pub rgb: Vec<[u8; 3]>,
+    /// Which pixels are not transparent, row-major, if some are: a cut-out says itself where its object is.
+    pub opaque: Option<Vec<bool>>,
     /// Whether its EXIF block had it turned or mirrored: a depth map and the intrinsics are those of the sensor, as which the
     /// picture is not any more.
     pub turned: bool,
@@ -36,13 +38,13 @@ pub struct DepthMap {
 }
 
 impl DepthMap {
-    /// From an npy array `[height, width]`: floating point in metres, integers in `metres_per_unit`.
+    /// From an npy array `[height, width]` or `[height, width, 1]`: floating point in metres, integers in `metres_per_unit`.
     ///
     /// # Errors
     /// If the bytes are not such an array.
     pub fn from_npy(bytes: &[u8], metres_per_unit: f32) -> Result<Self, Malformed> {
         let array = parse_npy(bytes)?;
-        let &[height, width] = array.shape.as_slice() else {
+        let (&[height, width] | &[height, width, 1]) = array.shape.as_slice() else {
             return Err(Malformed::new("a depth map [height, width]", format!("shape {:?}", array.shape)));
         };
         check_size(width as u64, height as u64)?;
@@ -59,15 +61,18 @@ impl DepthMap {
 /// # Errors
 /// If the bytes are not such a picture, or it is larger than [`MAX_PIXELS`].
 pub fn parse_picture(bytes: &[u8]) -> Result<Picture, Malformed> {
-    let (picture, orientation) = decode(bytes)?;
-    let opaque =
-        if picture.color().has_alpha() { over_white(&picture.into_rgba8()) } else { picture.into_rgb8() };
-    let mut upright = DynamicImage::ImageRgb8(opaque);
-    upright.apply_orientation(orientation);
-    let upright = upright.into_rgb8();
-    let size = ImageSize { width: upright.width() as usize, height: upright.height() as usize };
+    let (mut picture, orientation) = decode(bytes)?;
+    picture.apply_orientation(orientation);
+    let size = ImageSize { width: picture.width() as usize, height: picture.height() as usize };
     let turned = orientation != Orientation::NoTransforms;
-    Ok(Picture { size, rgb: upright.as_raw().as_chunks().0.to_vec(), turned })
+    let (rgb, opaque) = if picture.color().has_alpha() {
+        let picture = picture.into_rgba8();
+        let opaque: Vec<bool> = picture.pixels().map(|p| p.0[3] > 127).collect();
+        (over_white(&picture), opaque.contains(&false).then_some(opaque))
+    } else {
+        (picture.into_rgb8(), None)
+    };
+    Ok(Picture { size, rgb: rgb.as_raw().as_chunks().0.to_vec(), opaque, turned })
 }
 
 /// Decodes a 16-bit greyscale png into metres.

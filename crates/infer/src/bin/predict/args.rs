@@ -34,7 +34,7 @@ scan alone is centred and, if its object is smaller or larger than those seen in
 #[derive(Debug, Parser)]
 #[command(version, after_help = EXAMPLES)]
 pub(crate) struct Args {
-    /// Pictures (png, jpg, webp), depth maps (16-bit grey png, or npy [height, width] with --intrinsics or --fov), scans (ply,
+    /// Pictures (png, jpg, webp), depth maps (16-bit grey png, or npy [height, width]; with --intrinsics or --fov), scans (ply,
     /// pcd, or npy [points, 3 or more]; in the camera's optical frame, metres), or folders of these.
     #[arg(required = true)]
     pub(crate) input: Vec<PathBuf>,
@@ -57,7 +57,7 @@ pub(crate) struct Args {
     /// Vertical field of view of the picture or depth map, degrees, with the axis in the middle.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub(crate) fov: Option<f32>,
-    /// Picture whose bright pixels are the object.
+    /// Picture whose bright pixels are the object. Default: what is not transparent, if the input is a cut-out.
     #[arg(long, value_name = "F")]
     pub(crate) mask: Option<PathBuf>,
     /// Primitive to predict; several times for several. Default: all.
@@ -91,7 +91,7 @@ pub(crate) struct Args {
     /// Weights folder, or a folder with rgb/ and cloud/. Default: weights/ of the working directory or workspace.
     #[arg(long, value_name = "DIR")]
     pub(crate) weights: Option<PathBuf>,
-    /// Folder for the results; several inputs get a folder each in it. An earlier prediction in it is replaced. Default:
+    /// Folder for the results; several inputs, and those of a folder, get a folder each in it. An earlier prediction in it is replaced. Default:
     /// predictions/NAME (none with --json).
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -219,10 +219,12 @@ impl Args {
         }
     }
 
-    /// Where the results of each input go: its own folder, unless it is the only one and `--out` names it.
+    /// Where the results of each input go: its own folder, unless it is one file and `--out` names it.
     pub(crate) fn out_folders(&self, inputs: &[Input]) -> Vec<Option<PathBuf>> {
         let root = match (&self.out, self.json) {
-            (Some(out), _) if inputs.len() == 1 => return vec![Some(out.clone())],
+            (Some(out), _) if matches!(self.input.as_slice(), [one] if !one.is_dir()) => {
+                return vec![Some(out.clone())];
+            }
             (Some(out), _) => out.clone(),
             (None, true) => return vec![None; inputs.len()],
             (None, false) => PathBuf::from("predictions"),

@@ -9,8 +9,8 @@ use where2act_model::Modality;
 
 use crate::args::Args;
 
-/// Fewer columns than this are no depth map: an npy has a point in each row, perhaps with its colour or normal.
-const NARROWEST: usize = 8;
+/// Half of what a depth map shows is further than this, metres, only if its numbers are no metres.
+const FARTHEST: f32 = 60.0;
 
 /// A file to predict for.
 pub(crate) struct Input {
@@ -23,22 +23,16 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
     let mut inputs = Vec::new();
     let input = |path: PathBuf, kind| {
         // With a depth map of its own even a 16-bit grey picture is a picture.
-        let own = args.depth.is_some() && kind == FileKind::Depth;
-        // A scan needs no camera: an npy with one is a depth map, unless it turns out to be too narrow for that.
-        let grid = args.has_camera() && is_npy(&path);
-        let kind = match kind {
-            _ if own => FileKind::Picture,
-            _ if grid => FileKind::Depth,
-            kind => kind,
-        };
-        Input { path, kind }
+        let own = args.depth.is_some() && kind == FileKind::Depth && !is_npy(&path);
+        Input { path, kind: if own { FileKind::Picture } else { kind } }
     };
     for given in &args.input {
         if given.is_dir() {
             let before = inputs.len();
             for path in files(given)? {
-                // A png that cannot be opened fails on its own when its turn comes.
-                if let Some(kind) = file_kind(&path).unwrap_or(Some(FileKind::Picture)) {
+                // A file that cannot be opened fails on its own when its turn comes.
+                let unknown = if is_npy(&path) { FileKind::Scan } else { FileKind::Picture };
+                if let Some(kind) = file_kind(&path).unwrap_or(Some(unknown)) {
                     inputs.push(input(path, kind));
                 }
             }
@@ -49,6 +43,7 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
                 );
             }
         } else {
+            std::fs::metadata(given).with_context(|| given.display().to_string())?;
             let kind = file_kind(given)?.with_context(|| {
                 format!(
                     "{}: expected a png, jpg, webp, ply, pcd or npy file or a folder, found another ending",
@@ -65,6 +60,9 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
         if file.is_some() && inputs.iter().any(|i| i.kind == FileKind::Scan) {
             bail!("{flag}: expected a picture or depth map as input, found a scan");
         }
+    }
+    if args.depth.is_some() && inputs.iter().any(|i| i.kind == FileKind::Depth) {
+        bail!("--depth: expected a picture as input, found a depth map");
     }
     if args.has_camera() && inputs.len() == 1 && inputs.iter().all(|i| i.kind == FileKind::Scan) {
         bail!("--intrinsics, --fov: expected a picture or depth map as input, found a scan");
@@ -123,15 +121,12 @@ impl Input {
                     rgb: Some(picture.rgb),
                     depth,
                     intrinsics,
-                    mask: mask(args, size)?,
+                    mask: mask(args, size)?.or(picture.opaque),
                 })
             }
             FileKind::Depth => {
                 let depth = read_depth(&self.path, args.depth_scale)?;
                 let size = depth.size;
-                if is_npy(&self.path) && size.width < NARROWEST {
-                    return Ok(Observation::Cloud { points: read_scan(&self.path)? });
-                }
                 let missing = || {
                     format!(
                         "{}: expected --intrinsics or --fov with a depth map, found neither",
@@ -149,6 +144,27 @@ impl Input {
             }
         }
     }
+}
+
+/// What can be meant as it is, but seldom is.
+pub(crate) fn doubts(observation: &Observation) -> Vec<String> {
+    let Observation::Image { size, depth, intrinsics, .. } = observation else { return Vec::new() };
+    let mut doubts = Vec::new();
+    if let Some(Intrinsics { cx, cy, .. }) = intrinsics
+        && !((0.0..=size.width as f32).contains(cx) && (0.0..=size.height as f32).contains(cy))
+    {
+        let ImageSize { width, height } = size;
+        doubts.push(format!("expected intrinsics of {width} x {height} pixels, found an axis at {cx}, {cy}"));
+    }
+    let mut seen: Vec<f32> = depth.iter().flatten().copied().filter(|d| d.is_finite() && *d > 0.0).collect();
+    let middle = seen.len() / 2;
+    if middle > 0 {
+        let (_, median, _) = seen.select_nth_unstable_by(middle, f32::total_cmp);
+        if *median > FARTHEST {
+            doubts.push(format!("expected depth in metres, found a median of {median}"));
+        }
+    }
+    doubts
 }
 
 fn intrinsics(args: &Args, size: ImageSize) -> Option<Intrinsics> {

@@ -69,11 +69,17 @@ fn run(args: &Args) -> Result<()> {
             }
         };
         output.prediction.input.source = input.path.display().to_string();
-        if output.prediction.input.network_from_metres < HUGE && options.network_from_metres.is_none() {
-            tracing::warn!("{}: expected metres, found an object larger than a house", input.path.display());
+        let huge =
+            output.prediction.input.network_from_metres < HUGE && options.network_from_metres.is_none();
+        let huge = huge.then(|| "expected metres, found an object larger than a house".to_owned());
+        for doubt in inputs::doubts(&observation).into_iter().chain(huge) {
+            tracing::warn!("{}: {doubt}", input.path.display());
         }
-        if let Some(folder) = folder {
-            results::write(folder, &observation, &mut output, args.no_pictures)?;
+        if let Some(folder) = folder
+            && let Err(error) = results::write(folder, &observation, &mut output, args.no_pictures)
+        {
+            fail(error)?;
+            continue;
         }
         progress.suspend(|| report(args, input, &output.prediction, folder.as_deref()))?;
         progress.inc(1);
