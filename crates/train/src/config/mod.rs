@@ -495,6 +495,7 @@ mod tests {
                 "where2act-cloud",
                 "where2act-cloud",
                 "where2act-cloud",
+                "where2act-cloud",
                 "where2act-rgb"
             ]
         );
