@@ -91,7 +91,7 @@ fn npy_files_of_npyz_in_both_orders() {
 }
 
 #[test]
-fn npy_files_with_numbers_of_sixteen_bits_and_depth_maps_with_an_axis_of_one() {
+fn depth_maps_and_points_of_sixteen_bits() {
     let halves = |shape: &str, values: &[f32]| {
         let header = format!("{{'descr': '<f2', 'fortran_order': False, 'shape': {shape}, }}\n");
         let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
@@ -104,6 +104,10 @@ fn npy_files_with_numbers_of_sixteen_bits_and_depth_maps_with_an_axis_of_one() {
     assert_eq!(parse_scan(&bytes).unwrap(), [Point3::new(0.5, -0.25, 1.0), Point3::new(2.0, 0.125, 1.5)]);
     let depth = DepthMap::from_npy(&halves("(2, 3, 1)", &[0.5, 0.0, 1.0, 2.0, 0.125, 1.5]), 0.001).unwrap();
     assert_eq!((depth.size.width, depth.size.height, depth.metres[3]), (3, 2, 2.0));
+    let mut saturated = Cursor::new(Vec::new());
+    let depth = image::ImageBuffer::from_fn(3, 1, |x, _| image::Luma([[0u16, 1500, u16::MAX][x as usize]]));
+    DynamicImage::ImageLuma16(depth).write_to(&mut saturated, ImageFormat::Png).unwrap();
+    assert_eq!(parse_depth_png(saturated.get_ref(), 0.001).unwrap().metres, [0.0, 1.5, 0.0]);
     // A depth map without a camera is no scan.
     let square = parse_scan(&halves("(12, 12)", &[1.0; 144])).unwrap_err().to_string();
     assert!(square.contains("[points, 3]") && square.contains("[12, 12]"), "{square}");

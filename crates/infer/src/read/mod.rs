@@ -98,8 +98,8 @@ pub fn read_picture(path: &Path) -> Result<Picture, ReadError> {
     parse_picture(&read_bytes(path)?).map_err(malformed(path))
 }
 
-/// Reads a depth map: a 16-bit grey png in units of `metres_per_unit`, or an npy of `[height, width]` (floating
-/// point: metres, whatever the unit; integers: units).
+/// Reads a depth map, in which 0 and, of integers, 65,535 are no measurement: a 16-bit grey png in units of
+/// `metres_per_unit`, or an npy of `[height, width]` (floating point: metres, whatever the unit; integers: units).
 ///
 /// # Errors
 /// As [`read_bytes`], and if it is not a depth map.

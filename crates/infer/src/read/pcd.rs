@@ -24,7 +24,8 @@ struct Header {
     data: String,
 }
 
-/// The points of a PCD file, metres.
+/// The points of a PCD file, metres, as they stand there: `VIEWPOINT` says where the sensor was in some other frame, and is not
+/// applied.
 ///
 /// # Errors
 /// If the file is not a PCD with as many points, with x, y and z, as its header says.

@@ -11,6 +11,8 @@ use crate::Malformed;
 
 /// Most pixels a picture may have: 16 bits of four channels of so many take 800 MB.
 pub const MAX_PIXELS: u64 = 100_000_000;
+/// What a sensor writes into 16 bits where it measures nothing, or more than they hold.
+const SATURATED: f32 = u16::MAX as f32;
 /// Longest side of a picture, pixels.
 const MAX_SIDE: u32 = 65_535;
 
@@ -38,7 +40,8 @@ pub struct DepthMap {
 }
 
 impl DepthMap {
-    /// From an npy array `[height, width]` or `[height, width, 1]`: floating point in metres, integers in `metres_per_unit`.
+    /// From an npy array `[height, width]` or `[height, width, 1]`: floating point in metres, integers in `metres_per_unit`,
+    /// of which 65,535 is no measurement.
     ///
     /// # Errors
     /// If the bytes are not such an array.
@@ -48,11 +51,8 @@ impl DepthMap {
             return Err(Malformed::new("a depth map [height, width]", format!("shape {:?}", array.shape)));
         };
         check_size(width as u64, height as u64)?;
-        let scale = if array.integers { metres_per_unit } else { 1.0 };
-        Ok(Self {
-            size: ImageSize { width, height },
-            metres: array.values.iter().map(|v| v * scale).collect(),
-        })
+        let metres = |&units: &f32| if array.integers { measured(units, metres_per_unit) } else { units };
+        Ok(Self { size: ImageSize { width, height }, metres: array.values.iter().map(metres).collect() })
     }
 }
 
@@ -75,7 +75,12 @@ pub fn parse_picture(bytes: &[u8]) -> Result<Picture, Malformed> {
     Ok(Picture { size, rgb: rgb.as_raw().as_chunks().0.to_vec(), opaque, turned })
 }
 
-/// Decodes a 16-bit greyscale png into metres.
+/// Metres of an integer depth.
+fn measured(units: f32, metres_per_unit: f32) -> f32 {
+    if units == SATURATED { 0.0 } else { units * metres_per_unit }
+}
+
+/// Decodes a 16-bit greyscale png into metres; 65,535 is no measurement.
 ///
 /// # Errors
 /// As [`parse_picture`]; 8-bit and colour pictures are no depth.
@@ -86,7 +91,10 @@ pub fn parse_depth_png(bytes: &[u8], metres_per_unit: f32) -> Result<DepthMap, M
         return Err(Malformed::new("a 16-bit greyscale png", format!("{found:?} pixels")));
     };
     let size = ImageSize { width: depth.width() as usize, height: depth.height() as usize };
-    Ok(DepthMap { size, metres: depth.as_raw().iter().map(|&d| f32::from(d) * metres_per_unit).collect() })
+    Ok(DepthMap {
+        size,
+        metres: depth.as_raw().iter().map(|&d| measured(f32::from(d), metres_per_unit)).collect(),
+    })
 }
 
 /// Decodes a mask; see [`super::read_mask`].

@@ -495,7 +495,6 @@ mod tests {
                 "where2act-cloud",
                 "where2act-cloud",
                 "where2act-cloud",
-                "where2act-cloud",
                 "where2act-rgb"
             ]
         );
