@@ -107,7 +107,7 @@ fn depth_maps_and_points_of_sixteen_bits() {
     let mut saturated = Cursor::new(Vec::new());
     let depth = image::ImageBuffer::from_fn(3, 1, |x, _| image::Luma([[0u16, 1500, u16::MAX][x as usize]]));
     DynamicImage::ImageLuma16(depth).write_to(&mut saturated, ImageFormat::Png).unwrap();
-    assert_eq!(parse_depth_png(saturated.get_ref(), 0.001).unwrap().metres, [0.0, 1.5, 0.0]);
+    assert_eq!(parse_depth_png(saturated.get_ref(), 0.5).unwrap().metres, [0.0, 750.0, 0.0]);
     // A depth map without a camera is no scan.
     let square = parse_scan(&halves("(12, 12)", &[1.0; 144])).unwrap_err().to_string();
     assert!(square.contains("[points, 3]") && square.contains("[12, 12]"), "{square}");
