@@ -261,8 +261,8 @@ fn an_npy_is_what_its_shape_says_with_a_camera_or_without() {
     };
     let map = |(w, h)| ("depth".to_owned(), w, h);
     let scan = ("cloud".to_owned(), 300, 1);
-    assert_eq!(kinds(&["points.npy"]), [scan.clone()]);
-    assert_eq!(kinds(&["points-colours-normals.npy"]), [scan.clone()]);
+    assert_eq!(kinds(&["points.npy"]), std::slice::from_ref(&scan));
+    assert_eq!(kinds(&["points-colours-normals.npy"]), std::slice::from_ref(&scan));
     // A camera is that of the others.
     assert_eq!(
         kinds(&["points.npy", "points-colours-normals.npy", "depth.npy", "small-depth.npy", "--fov", "40"]),
