@@ -35,7 +35,7 @@ pub use config::{
     ScheduleConfig, TeacherConfig, TrainConfig,
 };
 pub use dataset::{Counts, DataError, Dataset, Folder, SceneId};
-pub use mean::mean;
+pub use mean::{MeanError, mean};
 pub use replay::Replay;
 pub use split::Part;
 pub use start::first_weights;
