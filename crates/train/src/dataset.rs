@@ -20,7 +20,7 @@ pub enum DataError {
     Empty(PathBuf),
     /// No scene belongs to a part that is needed.
     #[error(
-        "{folders}: none of the {scenes} scenes belongs to {part:?}, {novel} are of the categories kept for judging (Bucket, KitchenPot, Safe, Table, WashingMachine); collect more objects of others"
+        "{folders}: none of the {scenes} scenes belongs to {part:?}, {novel} are of novel categories, which only judge; collect more objects of others"
     )]
     EmptyPart {
         /// The folders.

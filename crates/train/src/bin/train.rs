@@ -16,7 +16,7 @@ use indicatif::HumanDuration;
 use where2act_core::program::{self, Progress};
 use where2act_core::{Policy, Primitive, Seed};
 use where2act_model::{Modality, Summary};
-use where2act_sim::collect::{Collector, ObjectSet, Plan, Preparer, Recipe};
+use where2act_sim::collect::{CollectError, Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::adaptive::Explored;
 use where2act_train::evaluate::EvaluateConfig;
 use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
@@ -281,8 +281,11 @@ fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Resu
         };
         let plan = Plan { resume: true, ..Plan::new(scenes) };
         let folder = Path::new("data").join(format!("{}{suffix}", config.name));
-        let collector = Collector::new(&folder, recipe, plan)
-            .context("the data of this name; use it with --data, or give the configuration another name")?;
+        let hint = "data of another run; use it with --data, or give the configuration another name";
+        let collector = Collector::new(&folder, recipe, plan).map_err(|error| match error {
+            CollectError::OtherRecipe { .. } => anyhow::Error::new(error).context(hint),
+            other => other.into(),
+        })?;
         let bar = work.progress(collector.scenes(), "collecting");
         collector.run(stop, &|scenes, collected| {
             let message = format!("successes: {}", collected.tally.successes());

@@ -105,7 +105,8 @@ impl Report {
                 config.proposals.max(options.candidates),
                 options.samples,
                 place = if config.anywhere {
-                    ", of whatever is seen and has depth, without a mask (where nothing moves a proposal fails; the trials beside are on movable parts),"
+                    ", of whatever is seen and has depth, without a mask (where nothing moves a proposal fails; the \
+                     trials beside are on movable parts),"
                 } else {
                     " of movable parts"
                 },

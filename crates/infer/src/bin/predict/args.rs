@@ -91,8 +91,8 @@ pub(crate) struct Args {
     /// Weights folder, or a folder with rgb/ and cloud/. Default: weights/ of the working directory or workspace.
     #[arg(long, value_name = "DIR")]
     pub(crate) weights: Option<PathBuf>,
-    /// Folder for the results; several inputs, and those of a folder, get a folder each in it. An earlier prediction in it is replaced. Default:
-    /// predictions/NAME (none with --json).
+    /// Folder for the results; several inputs, and those of a folder, get a folder each in it. An earlier prediction in it is
+    /// replaced. Default: predictions/NAME (none with --json).
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Print the prediction as JSON, one line per input.
