@@ -5,7 +5,7 @@ use std::ops::Deref;
 use burn::tensor::{Device, Tensor, TensorData};
 use where2act_kernels::Isa;
 use where2act_model::preprocess::CloudInput;
-use where2act_model::{Engine, EngineError, Features, LinearLayer, ModelConfig, Network};
+use where2act_model::{Engine, EngineError, Features, Hierarchy, LinearLayer, ModelConfig, Network};
 
 use crate::Error;
 
@@ -85,16 +85,19 @@ impl Backbone {
             (Self::Fast(engine), NetworkInput::Picture { values, side }) => {
                 engine.features_rgb(values, [1, *side, *side]).map(Rows::Fast).map_err(failed)
             }
-            (Self::Fast(engine), NetworkInput::Cloud(cloud)) => {
-                engine.features_cloud(&cloud.whole_hierarchy(config)).map(Rows::Fast).map_err(failed)
-            }
             (Self::Burn(network, device), NetworkInput::Picture { values, side }) => {
                 let data = TensorData::new(values.clone(), [1, 3, *side, *side]);
                 plain(network.features_rgb(Tensor::<4>::from_data(data, device)))
             }
-            (Self::Burn(network, _), NetworkInput::Cloud(cloud)) => {
-                plain(network.features_of(&cloud.whole_hierarchy(config)))
-            }
+            (_, NetworkInput::Cloud(cloud)) => self.features_of(&cloud.whole_hierarchy(config)),
+        }
+    }
+
+    /// Features of the targets of prepared clouds.
+    pub(crate) fn features_of(&self, hierarchy: &Hierarchy) -> Result<Rows<'_>, Error> {
+        match self {
+            Self::Fast(engine) => engine.features_cloud(hierarchy).map(Rows::Fast).map_err(failed),
+            Self::Burn(network, _) => plain(network.features_of(hierarchy)),
         }
     }
 }

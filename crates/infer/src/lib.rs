@@ -67,6 +67,21 @@
 //! Then pulling closes the fingers and goes back to 0.15 m; the *-up and *-left primitives move 0.05 m along the
 //! hand's y and x; pushing is done. `close_at` says at which waypoint the fingers close.
 //!
+//! # Hands of your own
+//!
+//! A planner that knows which hands the arm can reach asks what each is worth, in metres and in the camera's frame:
+//!
+//! ```no_run
+//! # use where2act_core::{Grasp, Observation, Primitive};
+//! # use where2act_infer::{Error, Options, Predictor};
+//! # fn best(predictor: &Predictor, observation: &Observation, reachable: &[Grasp]) -> Result<(), Error> {
+//! let scores = predictor.score(observation, Primitive::Pulling, reachable, &Options::default())?;
+//! let best = (0..reachable.len()).max_by(|a, b| scores[*a].partial_cmp(&scores[*b]).expect("no NaN"));
+//! # let _ = best;
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! # Room for the hand
 //!
 //! Hands that would overlap something that the scan or the depth map shows, masked or not, are left out: with palm or
@@ -106,6 +121,7 @@ mod pose;
 mod predictor;
 mod prepare;
 pub mod read;
+mod score;
 #[cfg(test)]
 mod snapshots;
 mod surface;

@@ -16,13 +16,15 @@ use crate::decode::{Codes, DecodingHeads, LOOKS, Scored, Tried, select, sigmoid}
 use crate::dense::DenseMaps;
 use crate::pose::proposal;
 use crate::prepare::Prepared;
+use crate::score::Judge;
 use crate::{Error, Options};
 
 /// A network that is ready to answer. Cheap to share: put it in an `Arc` or lend it to any number of threads.
 pub struct Predictor {
-    backbone: Backbone,
+    pub(crate) backbone: Backbone,
     heads: DecodingHeads,
-    config: ModelConfig,
+    pub(crate) judge: Judge,
+    pub(crate) config: ModelConfig,
     model: ModelInfo,
 }
 
@@ -76,7 +78,8 @@ impl Predictor {
         let (backbone, last) = Backbone::new(network, backend)?;
         let heads = DecodingHeads::new(&decoders, &config, last.as_ref())?;
         let model = ModelInfo { name: config.name.clone(), sha256 };
-        Ok(Self { backbone, heads, config, model })
+        let judge = Judge::new(decoders, last, backend.device());
+        Ok(Self { backbone, heads, judge, config, model })
     }
 
     /// What the network is.

@@ -229,6 +229,25 @@ impl<'a> Prepared<'a> {
             }
         }
     }
+
+    /// Whether a point, which a picture shows at `pixel`, is nearer than `off` metres to what is seen, as far as there is depth.
+    pub(crate) fn shows(&self, point: &Point3<f32>, pixel: Pixel, off: f32) -> bool {
+        match (self.depth, &self.surface) {
+            (_, Some(surface)) => {
+                surface.nearest::<1>(point).first().is_some_and(|(_, squared)| *squared < off * off)
+            }
+            (Some(depth), None) => depth.contact(pixel).is_some_and(|seen| (seen - point).norm() < off),
+            (None, None) => true,
+        }
+    }
+
+    /// Row of the network's output that shows a pixel of a picture.
+    pub(crate) fn row_of(&self, pixel: Pixel) -> usize {
+        match &self.geometry {
+            Geometry::Grid(letterbox) => letterbox.network_index(pixel),
+            Geometry::Points { .. } => 0,
+        }
+    }
 }
 
 /// All pixels of a picture, row by row.

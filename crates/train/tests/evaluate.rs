@@ -209,7 +209,7 @@ fn an_interrupted_report_is_of_the_scenes_done_by_then() {
     let stop = AtomicBool::new(false);
     let judge = || {
         let after_the_first = |_: u64| stop.store(true, Ordering::Relaxed);
-        evaluate(&predictor, &network(), &config, &stop, &after_the_first)
+        evaluate(&predictor, &config, &stop, &after_the_first)
     };
     let report = judge().unwrap();
     assert!(report.total.scenes > 0 && report.unfinished > 0, "{report:?}");

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use rand::RngExt;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use where2act_core::{Observation, Policy, Primitive, Proposal, Seed, Trial};
+use where2act_core::{Grasp, Observation, Policy, Primitive, Proposal, Seed, Trial};
 use where2act_infer::{Error, Options, Predictor};
 use where2act_sim::Mode;
 use where2act_sim::collect::ScenePrep;
@@ -95,6 +95,21 @@ pub(crate) fn proposals(
     let candidate = |p: &Proposal| sampler.at(p.pixel, in_world(p.approach), in_world(p.forward));
     let of_primitives = prediction.primitives.iter();
     Ok(of_primitives.map(|of| of.proposals.iter().map(candidate).collect()).collect())
+}
+
+/// What the network says of trials of one primitive that others made; nothing to be had where it sees no surface.
+pub(super) fn scores(
+    predictor: &Predictor,
+    prep: &ScenePrep,
+    trials: &[Trial],
+    seed: Seed,
+) -> Result<Vec<f32>, Error> {
+    let Some(first) = trials.first() else { return Ok(Vec::new()) };
+    let options =
+        Options { seed: seed.child("score", 0), network_from_metres: Some(1.0), ..Options::default() };
+    let grasps: Vec<Grasp> = trials.iter().map(|trial| trial.grasp_in_camera).collect();
+    let scores = predictor.score(&prep.view.observation(), first.primitive, &grasps, &options)?;
+    Ok(scores.into_iter().map(|score| score.unwrap_or(0.0)).collect())
 }
 
 /// Some of these at random, none of them twice.

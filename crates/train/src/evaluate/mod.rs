@@ -16,7 +16,6 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use where2act_core::{Category, Policy, Primitive, Seed, Trial};
 use where2act_infer::{Options, Predictor};
-use where2act_model::Network;
 use where2act_sim::collect::{CollectError, ObjectSet, Preparer, Recipe, ScenePrep};
 use where2act_sim::object::ObjectError;
 use where2act_sim::sampling::{Candidate, Sampler};
@@ -25,8 +24,6 @@ pub use contestants::Contestant;
 pub(crate) use contestants::{Wanted, proposals};
 pub use fate::Fate;
 pub use report::{Judgement, Report, Row};
-
-use crate::validate::score_record;
 
 /// What to judge on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -99,14 +96,6 @@ pub enum EvaluateError {
         /// Why.
         source: where2act_infer::Error,
     },
-    /// A view cannot be prepared for the network.
-    #[error("scene {scene}: {source}")]
-    View {
-        /// Number of the scene.
-        scene: u64,
-        /// Why.
-        source: where2act_model::preprocess::PreprocessError,
-    },
     /// Someone asked to stop before there was anything to report.
     #[error("interrupted before the first scene was judged; nothing was written")]
     Interrupted,
@@ -151,21 +140,20 @@ enum Outcome {
     Stopped,
 }
 
-/// Judges weights on the scenes of a configuration, several at a time. `predictor` proposes and `network`, the same
-/// weights, scores the random trials. `progress` is called with the number of scenes done. After `stop` the report
+/// Judges weights on the scenes of a configuration, several at a time: what they propose, and what they say of the hands of
+/// random trials ([`Predictor::score`]). `progress` is called with the number of scenes done. After `stop` the report
 /// is one of the scenes that were done by then.
 ///
 /// # Errors
 /// Any [`EvaluateError`].
 pub fn evaluate(
     predictor: &Predictor,
-    network: &Network,
     config: &EvaluateConfig,
     stop: &AtomicBool,
     progress: &(dyn Fn(u64) + Sync),
 ) -> Result<Report, EvaluateError> {
     let preparer = Preparer::new(config.recipe());
-    let judge = Judge { predictor, network, config, stop };
+    let judge = Judge { predictor, config, stop };
     let done = AtomicU64::new(0);
     let one = |index: u64| -> Result<Outcome, EvaluateError> {
         if judge.stopped() {
@@ -210,7 +198,6 @@ pub fn evaluate(
 /// What every scene is judged with.
 struct Judge<'a> {
     predictor: &'a Predictor,
-    network: &'a Network,
     config: &'a EvaluateConfig,
     stop: &'a AtomicBool,
 }
@@ -221,7 +208,7 @@ impl Judge<'_> {
     }
 
     fn scene(&self, index: u64, prep: &ScenePrep) -> Result<Outcome, EvaluateError> {
-        let Self { predictor, network, config, .. } = *self;
+        let Self { predictor, config, .. } = *self;
         let seed = prep.info.seed.child("evaluate", 0);
         let primitives = &predictor.config().primitives;
         let mut results: Vec<PrimitiveResult> = vec![PrimitiveResult::default(); primitives.len()];
@@ -235,21 +222,14 @@ impl Judge<'_> {
         let wanted = Wanted { count, clearance: config.clearance, anywhere: config.anywhere };
         let proposals = proposals(predictor, prep, &sampler, wanted, seed)
             .map_err(|source| EvaluateError::Predict { scene: index, source })?;
-        let mut random_trials: Vec<Trial> = Vec::new();
         for ((&primitive, own), result) in primitives.iter().zip(&proposals).zip(&mut results) {
             if self.stopped() {
                 return Ok(Outcome::Stopped);
             }
             let trials = self.primitive(prep, &sampler, primitive, own, result);
-            random_trials.extend(trials);
-        }
-        let record = prep.record(random_trials);
-        let scored = score_record(network, &record, &mut seed.child("score", 0).rng())
-            .map_err(|source| EvaluateError::View { scene: index, source })?;
-        for (trial, score) in scored {
-            if let Some(p) = predictor.config().output_of(trial.primitive) {
-                results[p].scored.push((score, trial.verdict.success));
-            }
+            let scores = contestants::scores(predictor, prep, &trials, seed)
+                .map_err(|source| EvaluateError::Predict { scene: index, source })?;
+            result.scored = scores.into_iter().zip(trials.iter().map(|t| t.verdict.success)).collect();
         }
         Ok(judged(results))
     }

@@ -149,7 +149,8 @@ impl Report {
         }
         text += &self.in_view_table();
         text += &self.fates_table();
-        text += "\nThe score on random trials (threshold 0.5; intervals by bootstrap over objects):\n\n";
+        text += "\nThe score of the hands of random trials, of the view and its mirror image (threshold 0.5; \
+                 intervals by bootstrap over objects):\n\n";
         text += "| primitive | trials | successes | F-score | precision | recall | average precision | calibration error |\n";
         text += "| --- | --- | --- | --- | --- | --- | --- | --- |\n";
         for Row { primitive, score: s, f_score_interval: [low, high], calibration_error, .. } in

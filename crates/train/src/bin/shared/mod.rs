@@ -6,11 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, bail};
-use burn::tensor::Device;
 use where2act_core::program::{self, Progress};
 use where2act_core::write_whole;
 use where2act_infer::Predictor;
-use where2act_model::Weights;
 use where2act_train::evaluate::{EvaluateConfig, evaluate};
 
 /// Flags of every program that computes for long.
@@ -47,7 +45,6 @@ impl Work {
         out: &Path,
     ) -> anyhow::Result<()> {
         let predictor = Predictor::load(weights)?;
-        let network = Weights::load(weights, &Device::flex())?.network;
         // Judging takes minutes: a report that cannot be written is found out first.
         let markdown = out.with_extension("md");
         if markdown == out {
@@ -61,7 +58,7 @@ impl Work {
             bar.set_position(done);
             bar.tell(|| format!("{done} of {} scenes judged", config.scenes));
         };
-        let report = evaluate(&predictor, &network, config, stop, &judged)?;
+        let report = evaluate(&predictor, config, stop, &judged)?;
         bar.finish_and_clear();
         let table = report.to_markdown();
         write_whole(out, |w| Ok(serde_json::to_writer_pretty(w, &report)?))
