@@ -52,7 +52,8 @@ struct Asked {
 
 impl Predictor {
     /// How likely hands of the caller's own are to succeed with a primitive, each in [0, 1]: for planners that know which
-    /// hands the arm can reach. `None` where the contact point is not on what is seen, 3 cm or more beside it.
+    /// hands the arm can reach. `None` where the contact point is not on what is seen: beyond the picture's border or, by a
+    /// scan or depth map, 3 cm or more beside it; and for what is no pose, with numbers that are not finite.
     ///
     /// The score is the mean, in logits, of what the network says of the observation and of its mirror image: it is right a
     /// little more often than that of a proposal, and takes twice as long. Whether a hand has room is not looked up, as it is
@@ -124,7 +125,7 @@ fn seen(
         return Err(Error::invalid("intrinsics", expected, "none"));
     }
     let asked = |grasp: &Grasp| {
-        let pixel = pixel(&grasp.point)?;
+        let pixel = pixel(&grasp.point).filter(|_| grasp.rotation.matrix().iter().all(|x| x.is_finite()))?;
         prepared.shows(&grasp.point, pixel, OFF_SURFACE).then_some(Asked { grasp: *grasp, pixel })
     };
     Ok(grasps.iter().map(asked).collect())
@@ -354,7 +355,8 @@ mod tests {
             let behind = at(Point3::new(0.0, 0.0, -1.0));
             let beside = at(Point3::new(5.0, 0.0, 1.0));
             let nowhere = at(Point3::new(f32::NAN, 0.0, 1.0));
-            let hands = [away, good, behind, beside, nowhere];
+            let rotation = Rotation3::from_matrix_unchecked(Matrix3::repeat(f32::NAN));
+            let hands = [away, good, behind, beside, nowhere, Grasp { rotation, ..good }];
             let scores = predictor.score(&seen, Primitive::Pushing, &hands, &plain()).unwrap();
             assert!(scores[1].is_some_and(|score| score > 0.0 && score < 1.0), "{scores:?}");
             assert_eq!(scores.iter().flatten().count(), 1, "{scores:?}");

@@ -103,7 +103,7 @@ fn a_report_is_whole_and_the_same_every_time() {
         "| primitive | scenes | top-1 | top-k |\n",
         "What came of the top-k proposals",
         "| primitive | tries | success | no approach | wrong touch | against the joint | no hold |",
-        "The score on random trials",
+        "The score of the hands of random trials",
         "The same trials by score",
         "| score | pushing | pulling |",
         "| 0.9-1.0 |",
