@@ -39,4 +39,4 @@ pub use mean::{MeanError, mean};
 pub use replay::Replay;
 pub use split::Part;
 pub use start::first_weights;
-pub use validate::{Validation, score_record, score_scenes};
+pub use validate::{Validation, score_scenes};

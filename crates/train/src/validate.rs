@@ -32,7 +32,7 @@ pub struct Validation {
 ///
 /// # Errors
 /// If the view cannot be shown to the network.
-pub fn score_record(
+fn score_record(
     network: &Network,
     record: &SceneRecord,
     rng: &mut ChaCha8Rng,
