@@ -3,6 +3,8 @@
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::Primitive;
+
 /// A hand orientation as `[approach, forward]`: the hand's z axis, then its x axis, three numbers each. This is the
 /// one layout of the project; networks read and write it in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,6 +27,16 @@ impl Orientation6 {
     #[must_use]
     pub fn forward(&self) -> Vector3<f32> {
         Vector3::new(self.0[3], self.0[4], self.0[5])
+    }
+
+    /// The hand as a mirror shows it that swaps the camera's left and right. It is its own mirror image in both planes along its
+    /// approach, so that it is a hand again: for *-up with its forward axis turned round, because a mirror that keeps up and
+    /// approach swaps the third.
+    #[must_use]
+    pub fn mirrored(&self, primitive: Primitive) -> Self {
+        let [ax, ay, az, fx, fy, fz] = self.0;
+        let turn = if matches!(primitive, Primitive::PushingUp | Primitive::PullingUp) { -1.0 } else { 1.0 };
+        Self([-ax, ay, az, turn * -fx, turn * fy, turn * fz])
     }
 
     /// The rotation it stands for: see [`orthonormal_frame`].

@@ -69,16 +69,18 @@
 //!
 //! # Hands of your own
 //!
-//! A planner that knows which hands the arm can reach asks what each is worth, in metres and in the camera's frame:
+//! A planner that knows which hands the arm can reach asks what each is worth. Hands are given in the camera's frame, in metres,
+//! by their contact points; where nothing is seen there is no score:
 //!
 //! ```no_run
 //! # use where2act_core::{Grasp, Observation, Primitive};
 //! # use where2act_infer::{Error, Options, Predictor};
-//! # fn best(predictor: &Predictor, observation: &Observation, reachable: &[Grasp]) -> Result<(), Error> {
-//! let scores = predictor.score(observation, Primitive::Pulling, reachable, &Options::default())?;
-//! let best = (0..reachable.len()).max_by(|a, b| scores[*a].partial_cmp(&scores[*b]).expect("no NaN"));
-//! # let _ = best;
-//! # Ok(())
+//! # fn best(predictor: &Predictor, observation: &Observation, reachable: &[Grasp]) -> Result<Option<usize>, Error> {
+//! let hands: Vec<_> = reachable.iter().map(|grasp| (Primitive::Pulling, *grasp)).collect();
+//! let scores = predictor.score(observation, &hands, &Options::default())?;
+//! let known = scores.iter().enumerate().filter_map(|(i, score)| Some((i, (*score)?)));
+//! let best = known.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i);
+//! # Ok(best)
 //! # }
 //! ```
 //!

@@ -16,14 +16,14 @@ use crate::decode::{Codes, DecodingHeads, LOOKS, Scored, Tried, select, sigmoid}
 use crate::dense::DenseMaps;
 use crate::pose::proposal;
 use crate::prepare::Prepared;
-use crate::score::Judge;
+use crate::score::ScoringHeads;
 use crate::{Error, Options};
 
 /// A network that is ready to answer. Cheap to share: put it in an `Arc` or lend it to any number of threads.
 pub struct Predictor {
     pub(crate) backbone: Backbone,
     heads: DecodingHeads,
-    pub(crate) judge: Judge,
+    pub(crate) scoring: ScoringHeads,
     pub(crate) config: ModelConfig,
     model: ModelInfo,
 }
@@ -74,12 +74,12 @@ impl Predictor {
     pub fn from_weights(weights: where2act_model::Weights, backend: Backend) -> Result<Self, Error> {
         let where2act_model::Weights { network, sha256 } = weights;
         let config = network.config().clone();
-        let decoders = network.heads.clone();
+        let (decoders, device) = (network.heads.clone(), network.device());
         let (backbone, last) = Backbone::new(network, backend)?;
         let heads = DecodingHeads::new(&decoders, &config, last.as_ref())?;
         let model = ModelInfo { name: config.name.clone(), sha256 };
-        let judge = Judge::new(decoders, last, backend.device());
-        Ok(Self { backbone, heads, judge, config, model })
+        let scoring = ScoringHeads::new(decoders, last, device);
+        Ok(Self { backbone, heads, scoring, config, model })
     }
 
     /// What the network is.

@@ -230,22 +230,36 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// Whether a point, which a picture shows at `pixel`, is nearer than `off` metres to what is seen, as far as there is depth.
-    pub(crate) fn shows(&self, point: &Point3<f32>, pixel: Pixel, off: f32) -> bool {
-        match (self.depth, &self.surface) {
-            (_, Some(surface)) => {
-                surface.nearest::<1>(point).first().is_some_and(|(_, squared)| *squared < off * off)
+    /// Whether a point is nearer than `off` metres to what the observation shows: at `pixel` of a depth map, anywhere in a scan.
+    /// A picture alone does not tell.
+    pub(crate) fn shows(
+        &self,
+        observation: &Observation,
+        point: &Point3<f32>,
+        pixel: Pixel,
+        off: f32,
+    ) -> bool {
+        let near = |seen: &Point3<f32>| (seen - point).norm() < off;
+        match (self.depth, observation) {
+            (Some(depth), _) => depth.contact(pixel).is_some_and(|seen| near(&seen)),
+            (None, Observation::Cloud { points }) => {
+                // The index holds some of the points, evenly: nearly always one of these is near enough.
+                let nearest = self.surface.as_ref().and_then(|surface| {
+                    let found = surface.nearest::<1>(point).first().copied()?;
+                    surface.points().get(found.0 as usize).copied()
+                });
+                nearest.is_some_and(|seen| near(&seen))
+                    || points.iter().any(|seen| is_measured(seen) && near(seen))
             }
-            (Some(depth), None) => depth.contact(pixel).is_some_and(|seen| (seen - point).norm() < off),
-            (None, None) => true,
+            (None, Observation::Image { .. }) => true,
         }
     }
 
-    /// Row of the network's output that shows a pixel of a picture.
-    pub(crate) fn row_of(&self, pixel: Pixel) -> usize {
+    /// Row of the output of a network for pictures that shows a pixel.
+    pub(crate) fn row_of(&self, pixel: Pixel) -> Option<usize> {
         match &self.geometry {
-            Geometry::Grid(letterbox) => letterbox.network_index(pixel),
-            Geometry::Points { .. } => 0,
+            Geometry::Grid(letterbox) => Some(letterbox.network_index(pixel)),
+            Geometry::Points { .. } => None,
         }
     }
 }

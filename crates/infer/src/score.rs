@@ -1,137 +1,138 @@
 //! What hands of the caller's own are worth: those of a planner, say, that the arm can reach.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Point3};
 use where2act_core::{Grasp, ImageSize, Intrinsics, Observation, Orientation6, Pixel, Primitive};
 use where2act_model::preprocess::CloudInput;
 use where2act_model::{Heads, LinearLayer, ModelConfig, hand_frame};
 
 use crate::backbone::{Backbone, NetworkInput};
 use crate::decode::sigmoid;
+use crate::dense::on_object;
 use crate::predictor::Predictor;
 use crate::prepare::Prepared;
 use crate::{Error, Options};
 
 /// Farthest that a contact point may be from what is seen, metres: further off nobody knows whether there is a surface.
-const OFF_SURFACE: f32 = 0.03;
+const FROM_SURFACE: f32 = 0.03;
+/// Most that a number of a rotation's product with its transpose may differ from the identity's.
+const NO_ROTATION: f32 = 1e-2;
+/// So many hands go through the heads at a time: what each sees of a scan takes some 10 kB.
+const BLOCK: usize = 1024;
 
 /// What scores hands one by one: the heads, and the layer that the backbone leaves to them.
-pub(crate) struct Judge {
+pub(crate) struct ScoringHeads {
     heads: Heads,
     last: Option<LinearLayer>,
     device: Device,
 }
 
-impl Judge {
-    pub(crate) fn new(heads: Heads, last: Option<LinearLayer>, device: Device) -> Self {
-        Self { heads, last, device }
-    }
-
-    /// What the backbone gives at `n` places as features, `[n, features]`.
-    fn features(&self, rows: Vec<f32>, n: usize) -> Tensor<2> {
-        let tensor = |values: Vec<f32>, rows: usize| {
-            let columns = values.len() / rows.max(1);
-            Tensor::<2>::from_data(TensorData::new(values, [rows, columns]), &self.device)
-        };
-        let rows = tensor(rows, n);
-        match &self.last {
-            Some(last) => {
-                rows.matmul(tensor(last.weights.clone(), last.inputs())) + tensor(last.bias.clone(), 1)
-            }
-            None => rows,
-        }
-    }
-}
-
-/// A hand in the camera frame, and the pixel that shows its contact point, if the input is a picture.
+/// A hand in the camera frame, what it is to do, and the pixel that shows its contact point, if the input is a picture.
 #[derive(Clone, Copy)]
 struct Asked {
-    grasp: Grasp,
+    primitive: Primitive,
+    point: Point3<f32>,
+    orientation: Orientation6,
     pixel: Pixel,
 }
 
 impl Predictor {
-    /// How likely hands of the caller's own are to succeed with a primitive, each in [0, 1]: for planners that know which
-    /// hands the arm can reach. `None` where the contact point is not on what is seen: beyond the picture's border or, by a
-    /// scan or depth map, 3 cm or more beside it; and for what is no pose, with numbers that are not finite.
+    /// How likely hands of the caller's own are to succeed, each in [0, 1]: for planners that know which hands the arm can
+    /// reach. Each comes with what it is to do, in the camera's optical frame, its point being the contact point, metres.
     ///
-    /// The score is the mean, in logits, of what the network says of the observation and of its mirror image: it is right a
-    /// little more often than that of a proposal, and takes twice as long. Whether a hand has room is not looked up, as it is
-    /// for proposals; the network knows what it learnt of that. Of the options only `seed` and `network_from_metres` matter.
+    /// `None` where that is not on what is seen: beyond the picture's border, off its mask or, by a scan or depth map, 3 cm or
+    /// more from it; and for what is no pose, with numbers that are not finite or a matrix that does not rotate.
+    ///
+    /// The score is the mean, in logits, of what the network says of the observation and of its mirror image, for which the
+    /// backbone runs twice. On most sets of `weights/RESULTS.md` it tells random trials apart a little better than one look.
+    /// Whether a hand has room is not looked up, as it is for proposals; the network knows what it learnt of that. Of the
+    /// options `seed` and `network_from_metres` matter.
     ///
     /// # Errors
     /// As [`Self::predict`]; and [`Error::Invalid`] for a picture without intrinsics, on which no point can be found.
     pub fn score(
         &self,
         observation: &Observation,
-        primitive: Primitive,
-        grasps: &[Grasp],
+        hands: &[(Primitive, Grasp)],
         options: &Options,
     ) -> Result<Vec<Option<f32>>, Error> {
-        let options = Options { region: None, pixel: None, ..options.clone() };
+        let Options { seed, network_from_metres, .. } = *options;
+        let options = Options { seed, network_from_metres, ..Options::default() };
         options.validate()?;
+        if matches!(observation, Observation::Image { intrinsics: None, .. }) {
+            let expected = "those of the camera, to find contact points in the picture";
+            return Err(Error::invalid("intrinsics", expected, "none"));
+        }
         let known = &self.config.primitives;
-        let unknown = || Error::UnknownPrimitive { found: primitive, known: known.clone() };
-        let output = self.config.output_of(primitive).ok_or_else(unknown)?;
+        let output = |(found, _): &(Primitive, Grasp)| {
+            let unknown = || Error::UnknownPrimitive { found: *found, known: known.clone() };
+            self.config.output_of(*found).ok_or_else(unknown)
+        };
+        let outputs: Vec<usize> = hands.iter().map(output).collect::<Result<_, Error>>()?;
         let prepare = |observation| Prepared::new(observation, &self.config, &self.model().name, &options);
         let prepared = prepare(observation)?;
-        let mut scores = vec![None; grasps.len()];
-        let found = seen(observation, &prepared, grasps)?;
+        let mut scores = vec![None; hands.len()];
+        let seen = hands.iter().map(|(primitive, grasp)| seen(observation, &prepared, *primitive, grasp));
         let (slots, asked): (Vec<_>, Vec<Asked>) =
-            scores.iter_mut().zip(found).filter_map(|(slot, asked)| Some((slot, asked?))).unzip();
+            scores.iter_mut().zip(outputs).zip(seen).filter_map(|(slot, asked)| Some((slot, asked?))).unzip();
         if asked.is_empty() {
             return Ok(scores);
         }
-        let of_hands = |prepared: &Prepared<'_>, asked: &[Asked]| {
-            let all = self.judge.logits(&self.backbone, &self.config, prepared, asked)?;
-            Ok::<Vec<f32>, Error>(all.into_iter().skip(output).step_by(known.len()).collect())
+        let logits = |prepared: &Prepared<'_>, asked: &[Asked]| {
+            self.scoring.logits(&self.backbone, &self.config, prepared, asked)
         };
         let mirror = mirrored(observation);
-        let in_mirror: Vec<Asked> =
-            asked.iter().map(|asked| asked.mirrored(observation, primitive)).collect();
-        let both = [of_hands(&prepared, &asked)?, of_hands(&prepare(&mirror)?, &in_mirror)?];
-        for (i, slot) in slots.into_iter().enumerate() {
-            let mean = both.iter().filter_map(|logits| logits.get(i)).sum::<f32>() / both.len() as f32;
-            *slot = Some(sigmoid(mean));
+        let in_mirror: Vec<Asked> = asked.iter().map(|asked| asked.mirrored(observation)).collect();
+        let (one, other) = (logits(&prepared, &asked)?, logits(&prepare(&mirror)?, &in_mirror)?);
+        let rows = one.chunks_exact(known.len()).zip(other.chunks_exact(known.len()));
+        for ((slot, output), (one, other)) in slots.into_iter().zip(rows) {
+            *slot = one.get(output).zip(other.get(output)).map(|(a, b)| sigmoid(0.5 * (a + b)));
         }
         Ok(scores)
     }
 }
 
+/// The hand, if it touches what is seen.
+fn seen(
+    observation: &Observation,
+    prepared: &Prepared<'_>,
+    primitive: Primitive,
+    grasp: &Grasp,
+) -> Option<Asked> {
+    let Grasp { point, rotation } = *grasp;
+    let m = rotation.matrix();
+    let turns = (m.transpose() * m - Matrix3::identity()).iter().all(|x| x.abs() < NO_ROTATION);
+    if !(turns && m.determinant() > 0.0 && point.iter().all(|x| x.is_finite())) {
+        return None;
+    }
+    let pixel = match observation {
+        Observation::Image { size, intrinsics, .. } => {
+            pixel_of(&point, intrinsics.as_ref()?, *size).filter(|pixel| on_object(observation, *pixel))?
+        }
+        Observation::Cloud { .. } => Pixel { u: 0, v: 0 },
+    };
+    let shown = prepared.shows(observation, &point, pixel, FROM_SURFACE);
+    shown.then(|| Asked { primitive, point, orientation: Orientation6::from_rotation(&rotation), pixel })
+}
+
 impl Asked {
     /// As the mirror shows it.
-    fn mirrored(&self, observation: &Observation, primitive: Primitive) -> Self {
+    fn mirrored(&self, observation: &Observation) -> Self {
         let Pixel { u, v } = self.pixel;
         let pixel = match observation {
             Observation::Image { size, .. } => Pixel { u: (size.width as u32).saturating_sub(u + 1), v },
             Observation::Cloud { .. } => self.pixel,
         };
-        Self { grasp: mirrored_grasp(primitive, &self.grasp), pixel }
+        let point = mirrored_point(&self.point);
+        Self { point, orientation: self.orientation.mirrored(self.primitive), pixel, ..*self }
     }
 }
 
-/// The hands that touch what is seen.
-fn seen(
-    observation: &Observation,
-    prepared: &Prepared<'_>,
-    grasps: &[Grasp],
-) -> Result<Vec<Option<Asked>>, Error> {
-    let pixel = |point: &Point3<f32>| match observation {
-        Observation::Image { size, intrinsics: Some(intrinsics), .. } => pixel_of(point, intrinsics, *size),
-        _ => Some(Pixel { u: 0, v: 0 }),
-    };
-    if matches!(observation, Observation::Image { intrinsics: None, .. }) {
-        let expected = "those of the camera, to find contact points in the picture";
-        return Err(Error::invalid("intrinsics", expected, "none"));
+impl ScoringHeads {
+    pub(crate) fn new(heads: Heads, last: Option<LinearLayer>, device: Device) -> Self {
+        Self { heads, last, device }
     }
-    let asked = |grasp: &Grasp| {
-        let pixel = pixel(&grasp.point).filter(|_| grasp.rotation.matrix().iter().all(|x| x.is_finite()))?;
-        prepared.shows(&grasp.point, pixel, OFF_SURFACE).then_some(Asked { grasp: *grasp, pixel })
-    };
-    Ok(grasps.iter().map(asked).collect())
-}
 
-impl Judge {
     /// `[hands, primitives]`, row by row.
     fn logits(
         &self,
@@ -140,40 +141,62 @@ impl Judge {
         prepared: &Prepared<'_>,
         asked: &[Asked],
     ) -> Result<Vec<f32>, Error> {
-        let (heads, n) = (&self.heads, asked.len());
-        let orientations: Vec<Orientation6> =
-            asked.iter().map(|asked| Orientation6::from_rotation(&asked.grasp.rotation)).collect();
-        let (rows, hand_views) = match &prepared.input {
+        let (rows, cloud) = match &prepared.input {
             NetworkInput::Picture { side, .. } => {
                 let all = backbone.features(&prepared.input, config)?;
                 let width = all.len() / (side * side);
                 let row = |asked: &Asked| {
-                    let row = prepared.row_of(asked.pixel);
+                    let row = prepared.row_of(asked.pixel)?;
                     all.get(row * width..(row + 1) * width)
                 };
-                (asked.iter().filter_map(row).flatten().copied().collect(), Vec::new())
+                (asked.iter().filter_map(row).flatten().copied().collect(), None)
             }
             NetworkInput::Cloud(cloud) => {
-                let point = |asked: &Asked| cloud.network_from_metres(&asked.grasp.point).into();
-                let points: Vec<[f32; 3]> = asked.iter().map(point).collect();
-                let hierarchy =
-                    CloudInput::hierarchy(std::slice::from_ref(cloud), &[points.concat()], config);
-                let frame = |(point, hand): (&[f32; 3], &Orientation6)| hand_frame(*point, hand);
-                let frames: Vec<_> = points.iter().zip(&orientations).map(frame).collect();
-                let views = if config.second_look { cloud.hand_views(&frames) } else { Vec::new() };
-                (backbone.features_of(&hierarchy)?.to_vec(), views)
+                let point = |asked: &Asked| <[f32; 3]>::from(cloud.network_from_metres(&asked.point));
+                let targets = [asked.iter().flat_map(point).collect::<Vec<f32>>()];
+                let hierarchy = CloudInput::hierarchy(std::slice::from_ref(cloud), &targets, config);
+                (backbone.features_of(&hierarchy)?.to_vec(), config.second_look.then_some(cloud))
             }
         };
+        let width = rows.len() / asked.len().max(1);
+        let blocks = asked.chunks(BLOCK).zip(rows.chunks(BLOCK * width.max(1)));
+        let logits: Vec<Vec<f32>> =
+            blocks.map(|(asked, rows)| self.of_block(asked, rows, cloud)).collect::<Result<_, Error>>()?;
+        Ok(logits.concat())
+    }
+
+    /// [`Self::logits`] of some hands, of what the backbone gives at their points and, if there is a second look, of the scan.
+    fn of_block(&self, asked: &[Asked], rows: &[f32], cloud: Option<&CloudInput>) -> Result<Vec<f32>, Error> {
+        let (heads, n) = (&self.heads, asked.len());
         let features = self.features(rows, n);
-        let axes: Vec<f32> = orientations.iter().flat_map(|orientation| orientation.0).collect();
+        let axes: Vec<f32> = asked.iter().flat_map(|asked| asked.orientation.0).collect();
         let axes = Tensor::<3>::from_data(TensorData::new(axes, [n, 1, 6]), &self.device);
         let hands = heads.score.hands(features.clone(), axes.clone());
-        let logits = match &heads.second_look {
-            Some(look) => look.forward(features.clone(), hands, &hand_views),
+        let logits = match heads.second_look.as_ref().zip(cloud) {
+            Some((look, cloud)) => {
+                let frame = |asked: &Asked| {
+                    hand_frame(cloud.network_from_metres(&asked.point).into(), &asked.orientation)
+                };
+                let views = cloud.hand_views(&asked.iter().map(frame).collect::<Vec<_>>());
+                look.forward(features.clone(), hands, &views)
+            }
             None => heads.score.forward_hands(features.clone(), hands),
         };
         let logits = heads.with_ways(logits, features, axes).into_data();
         logits.try_into_vec().map_err(|e| Error::Network(format!("{e:?}")))
+    }
+
+    /// What the backbone gives at `n` places as features, `[n, features]`.
+    fn features(&self, rows: &[f32], n: usize) -> Tensor<2> {
+        let tensor = |values: &[f32], rows: usize| {
+            let columns = values.len() / rows.max(1);
+            Tensor::<2>::from_data(TensorData::new(values.to_vec(), [rows, columns]), &self.device)
+        };
+        let rows = tensor(rows, n);
+        match &self.last {
+            Some(last) => rows.matmul(tensor(&last.weights, last.inputs())) + tensor(&last.bias, 1),
+            None => rows,
+        }
     }
 }
 
@@ -195,7 +218,7 @@ fn mirrored(observation: &Observation) -> Observation {
             mask: mask.as_deref().map(|mask| reversed(mask, *size)),
         },
         Observation::Cloud { points } => {
-            Observation::Cloud { points: points.iter().map(|p| Point3::new(-p.x, p.y, p.z)).collect() }
+            Observation::Cloud { points: points.iter().map(mirrored_point).collect() }
         }
     }
 }
@@ -205,33 +228,34 @@ fn reversed<T: Copy>(pixels: &[T], size: ImageSize) -> Vec<T> {
     pixels.chunks(size.width.max(1)).flat_map(|row| row.iter().rev()).copied().collect()
 }
 
-/// A hand as the mirror shows it. It is its own mirror image in both planes along its approach, so that it is a hand again:
-/// for *-up with its forward axis turned round, because a mirror that keeps up and approach swaps the third.
-fn mirrored_grasp(primitive: Primitive, grasp: &Grasp) -> Grasp {
-    let reflected = |v: Vector3<f32>| Vector3::new(-v.x, v.y, v.z);
-    let turn = if matches!(primitive, Primitive::PushingUp | Primitive::PullingUp) { -1.0 } else { 1.0 };
-    let (approach, forward) = (reflected(grasp.approach()), reflected(grasp.forward()) * turn);
-    let columns = [forward, approach.cross(&forward), approach];
-    Grasp {
-        point: Point3::new(-grasp.point.x, grasp.point.y, grasp.point.z),
-        rotation: Rotation3::from_matrix_unchecked(Matrix3::from_columns(&columns)),
-    }
+fn mirrored_point(point: &Point3<f32>) -> Point3<f32> {
+    Point3::new(-point.x, point.y, point.z)
 }
 
 #[cfg(test)]
 mod tests {
     use burn::tensor::Device;
-    use where2act_core::Seed;
+    use nalgebra::{Rotation3, Vector3};
+    use where2act_core::{Proposal, Seed};
     use where2act_model::{Modality, Network, Weights};
 
     use super::*;
     use crate::Backend;
 
-    fn predictor(modality: Modality, second_look: bool, backend: Backend) -> Predictor {
+    fn predictor_with(
+        change: impl FnOnce(&mut ModelConfig),
+        modality: Modality,
+        backend: Backend,
+    ) -> Predictor {
         let mut config = ModelConfig::new(modality, &Primitive::ALL).with_width(0.125).with_points(512);
-        (config.second_look, config.alignments, config.ways) = (second_look, 3, Some(2.0));
+        (config.alignments, config.ways) = (3, Some(2.0));
+        change(&mut config);
         let network = Network::new(&config, Seed(7), &Device::flex());
         Predictor::from_weights(Weights { network, sha256: "0".repeat(64) }, backend).unwrap()
+    }
+
+    fn predictor(modality: Modality, second_look: bool, backend: Backend) -> Predictor {
+        predictor_with(|config| config.second_look = second_look, modality, backend)
     }
 
     /// A wall with a step in it and a picture of it, from a camera that looks a little to the left.
@@ -263,62 +287,54 @@ mod tests {
         pictures.into_iter().chain(scans).chain([once]).collect()
     }
 
-    /// The hands that a prediction proposes for a primitive, with their scores.
-    fn proposed(predictor: &Predictor, seen: &Observation, primitive: Primitive) -> Vec<(Grasp, f32)> {
-        let options = Options {
-            primitives: vec![primitive],
-            network_from_metres: Some(1.0),
-            clearance: false,
-            ..Options::default()
-        };
-        let prediction = predictor.predict(seen, &options).unwrap();
-        let grasp = |p: &where2act_core::Proposal| {
-            Grasp::new(p.point.unwrap().into(), p.approach.into(), p.forward.into())
-        };
-        prediction.primitives[0].proposals.iter().map(|p| (grasp(p), p.score)).collect()
+    fn scaled(network_from_metres: f32) -> Options {
+        Options { network_from_metres: Some(network_from_metres), ..Options::default() }
     }
 
-    fn plain() -> Options {
-        Options { network_from_metres: Some(1.0), ..Options::default() }
+    /// The hands that a prediction proposes, all that there are, and their scores.
+    fn proposed(
+        predictor: &Predictor,
+        seen: &Observation,
+        options: &Options,
+    ) -> Vec<((Primitive, Grasp), f32)> {
+        let prediction = predictor.predict(seen, &Options { clearance: false, ..options.clone() }).unwrap();
+        let hand = |p: &Proposal| Grasp::new(p.point.unwrap().into(), p.approach.into(), p.forward.into());
+        let of = prediction.primitives.iter();
+        of.flat_map(|of| of.proposals.iter().map(|p| ((of.primitive, hand(p)), p.score))).collect()
     }
 
     #[test]
     fn a_proposal_s_hand_is_scored_as_the_proposal_was_and_as_its_mirror_image() {
         for (i, (predictor, view)) in cases().into_iter().enumerate() {
-            for (output, primitive) in Primitive::ALL.into_iter().enumerate() {
-                let (grasps, expected): (Vec<Grasp>, Vec<f32>) =
-                    proposed(&predictor, &view, primitive).into_iter().unzip();
-                assert!(grasps.len() >= 5, "{i}, {primitive}: {}", grasps.len());
-                // What the network says of one view.
-                let prepared = Prepared::new(&view, &predictor.config, "", &plain()).unwrap();
-                let asked =
-                    |observation: &Observation, prepared: &Prepared<'_>, grasps: &[Grasp]| -> Vec<Asked> {
-                        seen(observation, prepared, grasps).unwrap().into_iter().map(Option::unwrap).collect()
-                    };
-                let logits = |prepared: &Prepared<'_>, asked: &[Asked]| -> Vec<f32> {
-                    let all = predictor
-                        .judge
-                        .logits(&predictor.backbone, &predictor.config, prepared, asked)
-                        .unwrap();
-                    all.into_iter().skip(output).step_by(Primitive::ALL.len()).collect()
+            let options = scaled(if i % 2 == 0 { 1.0 } else { 0.7 });
+            let (hands, expected): (Vec<_>, Vec<f32>) =
+                proposed(&predictor, &view, &options).into_iter().unzip();
+            assert!(hands.len() > 50, "{i}: {}", hands.len());
+            // What the network says of one view.
+            let logits = |view: &Observation, mirror: bool| -> Vec<f32> {
+                let prepared = Prepared::new(view, &predictor.config, "", &options).unwrap();
+                let asked = |(primitive, grasp): &(Primitive, Grasp)| {
+                    let Grasp { point, rotation } = grasp;
+                    let orientation = Orientation6::from_rotation(rotation).mirrored(*primitive);
+                    let reflected =
+                        Grasp { point: mirrored_point(point), rotation: orientation.to_rotation() };
+                    seen(view, &prepared, *primitive, if mirror { &reflected } else { grasp }).unwrap()
                 };
-                let own = logits(&prepared, &asked(&view, &prepared, &grasps));
-                for (logit, expected) in own.iter().zip(&expected) {
-                    assert!(
-                        (sigmoid(*logit) - expected).abs() < 2e-3,
-                        "{i}, {primitive}: {logit} {expected}"
-                    );
-                }
-                let mirror = mirrored(&view);
-                let reflected: Vec<Grasp> = grasps.iter().map(|g| mirrored_grasp(primitive, g)).collect();
-                let in_mirror = Prepared::new(&mirror, &predictor.config, "", &plain()).unwrap();
-                let other = logits(&in_mirror, &asked(&mirror, &in_mirror, &reflected));
-                assert!(own.iter().zip(&other).any(|(a, b)| (a - b).abs() > 1e-3), "{i}: mirrors differ");
-                let found = predictor.score(&view, primitive, &grasps, &plain()).unwrap();
-                for ((found, a), b) in found.iter().zip(own).zip(other) {
-                    let mean = sigmoid(0.5 * (a + b));
-                    assert!((found.unwrap() - mean).abs() < 1e-4, "{i}, {primitive}: {found:?} {mean}");
-                }
+                let asked: Vec<Asked> = hands.iter().map(asked).collect();
+                let all = predictor.scoring.logits(&predictor.backbone, &predictor.config, &prepared, &asked);
+                let row = |(row, (primitive, _)): (&[f32], &(Primitive, Grasp))| row[*primitive as usize];
+                all.unwrap().chunks(6).zip(&hands).map(row).collect()
+            };
+            let (one, other) = (logits(&view, false), logits(&mirrored(&view), true));
+            for (logit, expected) in one.iter().zip(&expected) {
+                assert!((sigmoid(*logit) - expected).abs() < 2e-3, "{i}: {logit} {expected}");
+            }
+            assert!(one.iter().zip(&other).any(|(a, b)| (a - b).abs() > 1e-3), "{i}: mirrors differ");
+            let found = predictor.score(&view, &hands, &options).unwrap();
+            assert_eq!(found.len(), hands.len());
+            for ((found, a), b) in found.iter().zip(one).zip(other) {
+                let mean = sigmoid(0.5 * (a + b));
+                assert!((found.unwrap() - mean).abs() < 1e-4, "{i}: {found:?} {mean}");
             }
         }
     }
@@ -326,48 +342,96 @@ mod tests {
     #[test]
     fn a_mirror_image_is_scored_as_what_it_shows() {
         // Points of a scan are drawn by their order, which a mirror leaves as it is.
-        for (predictor, seen) in [
-            (predictor(Modality::Rgb, false, Backend::Fast), step()),
-            (predictor(Modality::Cloud, true, Backend::Fast), scan()),
-        ] {
-            assert_eq!(mirrored(&mirrored(&seen)), seen);
-            for primitive in Primitive::ALL {
-                let grasps: Vec<Grasp> =
-                    proposed(&predictor, &seen, primitive).into_iter().map(|(g, _)| g).collect();
-                let reflected: Vec<Grasp> = grasps.iter().map(|g| mirrored_grasp(primitive, g)).collect();
-                let one = predictor.score(&seen, primitive, &grasps, &plain()).unwrap();
-                let other = predictor.score(&mirrored(&seen), primitive, &reflected, &plain()).unwrap();
-                for (one, other) in one.iter().zip(&other) {
-                    assert!((one.unwrap() - other.unwrap()).abs() < 1e-3, "{primitive}: {one:?} {other:?}");
-                }
+        let of_pictures = (predictor(Modality::Rgb, false, Backend::Fast), step());
+        let of_scans = (predictor(Modality::Cloud, true, Backend::Fast), scan());
+        for (predictor, view) in [of_pictures, of_scans] {
+            assert_eq!(mirrored(&mirrored(&view)), view);
+            let hands: Vec<_> =
+                proposed(&predictor, &view, &scaled(1.0)).into_iter().map(|(hand, _)| hand).collect();
+            let reflected = |(primitive, grasp): &(Primitive, Grasp)| {
+                let orientation = Orientation6::from_rotation(&grasp.rotation).mirrored(*primitive);
+                (
+                    *primitive,
+                    Grasp { point: mirrored_point(&grasp.point), rotation: orientation.to_rotation() },
+                )
+            };
+            let reflected: Vec<_> = hands.iter().map(reflected).collect();
+            let one = predictor.score(&view, &hands, &scaled(1.0)).unwrap();
+            let other = predictor.score(&mirrored(&view), &reflected, &scaled(1.0)).unwrap();
+            for ((one, other), (primitive, _)) in one.iter().zip(&other).zip(&hands) {
+                assert!((one.unwrap() - other.unwrap()).abs() < 1e-3, "{primitive}: {one:?} {other:?}");
             }
         }
     }
 
     #[test]
-    fn hands_in_the_air_have_no_score() {
+    fn hands_in_the_air_and_what_is_no_hand_have_no_score() {
         let of_pictures = predictor(Modality::Rgb, false, Backend::Fast);
         let of_scans = predictor(Modality::Cloud, true, Backend::Fast);
-        for (predictor, seen) in [(&of_pictures, step()), (&of_scans, scan()), (&of_scans, step())] {
-            let (good, _) = proposed(predictor, &seen, Primitive::Pushing)[0];
-            let at = |point: Point3<f32>| Grasp { point, ..good };
-            let away = at(good.point - Vector3::z() * 0.05);
-            let behind = at(Point3::new(0.0, 0.0, -1.0));
+        for (predictor, view) in [(&of_pictures, step()), (&of_scans, scan()), (&of_scans, step())] {
+            let ((primitive, good), _) = proposed(predictor, &view, &scaled(1.0))[0];
+            let at = |point: Point3<f32>| (primitive, Grasp { point, ..good });
+            let turned = |matrix: Matrix3<f32>| {
+                (primitive, Grasp { rotation: Rotation3::from_matrix_unchecked(matrix), ..good })
+            };
+            let (away, behind) = (at(good.point - Vector3::z() * 0.05), at(Point3::new(0.0, 0.0, -1.0)));
             let beside = at(Point3::new(5.0, 0.0, 1.0));
-            let nowhere = at(Point3::new(f32::NAN, 0.0, 1.0));
-            let rotation = Rotation3::from_matrix_unchecked(Matrix3::repeat(f32::NAN));
-            let hands = [away, good, behind, beside, nowhere, Grasp { rotation, ..good }];
-            let scores = predictor.score(&seen, Primitive::Pushing, &hands, &plain()).unwrap();
-            assert!(scores[1].is_some_and(|score| score > 0.0 && score < 1.0), "{scores:?}");
+            let nowhere = [f32::NAN, f32::INFINITY, f32::MAX].map(|z| at(Point3::new(0.0, 0.0, z)));
+            let wrong = [0.0, f32::NAN, 1e20].map(|x| turned(Matrix3::repeat(x)));
+            let hands = [&[(primitive, good), away, behind, beside][..], &nowhere, &wrong].concat();
+            let scores = predictor.score(&view, &hands, &scaled(1.0)).unwrap();
+            assert!(scores[0].is_some_and(|score| score > 0.0 && score < 1.0), "{scores:?}");
             assert_eq!(scores.iter().flatten().count(), 1, "{scores:?}");
-            assert_eq!(predictor.score(&seen, Primitive::Pushing, &[], &plain()).unwrap(), []);
-            assert_eq!(predictor.score(&seen, Primitive::Pushing, &[away], &plain()).unwrap(), [None]);
+            assert_eq!(predictor.score(&view, &[], &scaled(1.0)).unwrap(), []);
+            assert_eq!(predictor.score(&view, &[away], &scaled(1.0)).unwrap(), [None]);
         }
+    }
+
+    #[test]
+    fn every_point_of_a_scan_is_seen_and_what_a_mask_hides_is_not() {
+        let sparse = predictor_with(|c| c.preprocessing.scan_candidates = 64, Modality::Cloud, Backend::Fast);
+        let Observation::Cloud { points } = scan() else { unreachable!() };
+        let hand = |point: &Point3<f32>| (Primitive::Pushing, Grasp::new(*point, Vector3::z(), Vector3::x()));
+        let hands: Vec<_> = points.iter().step_by(9).map(hand).collect();
+        assert!(hands.len() > 2 * BLOCK);
+        for view in [scan(), step()] {
+            assert!(sparse.score(&view, &hands, &scaled(1.0)).unwrap().iter().all(Option::is_some));
+        }
+        // The left half alone is the object; with and without depth, in a picture that the network sees smaller, with bars.
+        let Observation::Image { size, rgb, depth, intrinsics, .. } = step() else { unreachable!() };
+        let (wide, middle) = (ImageSize { width: 448, height: 128 }, intrinsics.unwrap().cx);
+        let twice = |values: Vec<f32>| -> Vec<f32> { values.into_iter().flat_map(|x| [x, x]).collect() };
+        let intrinsics = intrinsics.map(|i| Intrinsics { fx: 2.0 * i.fx, cx: 2.0 * i.cx, ..i });
+        let of_pictures = predictor(Modality::Rgb, false, Backend::Fast);
+        for depth in [depth.map(twice), None] {
+            let view = Observation::Image {
+                size: wide,
+                rgb: rgb.as_ref().map(|rgb| rgb.iter().flat_map(|c| [*c, *c]).collect()),
+                depth,
+                intrinsics,
+                mask: Some((0..wide.pixels()).map(|i| ((i % wide.width) as f32) < middle).collect()),
+            };
+            let scores = of_pictures.score(&view, &hands, &scaled(1.0)).unwrap();
+            for (score, (_, grasp)) in scores.iter().zip(&hands) {
+                let (u, _) = intrinsics.unwrap().project(&grasp.point).unwrap();
+                assert_eq!(score.is_some(), u.floor() < middle, "{u} of {}", size.width);
+            }
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_asked_is_refused() {
         let Observation::Image { size, rgb, depth, mask, .. } = step() else { unreachable!() };
         let blind = Observation::Image { size, rgb, depth, mask, intrinsics: None };
-        let error = of_pictures.score(&blind, Primitive::Pushing, &[], &plain()).unwrap_err().to_string();
+        let of_pictures = predictor(Modality::Rgb, false, Backend::Fast);
+        let error = of_pictures.score(&blind, &[], &Options::default()).unwrap_err().to_string();
         let expected =
             "intrinsics: expected those of the camera, to find contact points in the picture, found none";
         assert_eq!(error, expected);
+        let pushes =
+            predictor_with(|c| c.primitives = vec![Primitive::Pushing], Modality::Rgb, Backend::Fast);
+        let hand = Grasp::new(Point3::new(0.0, 0.0, 1.0), Vector3::z(), Vector3::x());
+        let error = pushes.score(&step(), &[(Primitive::Pulling, hand)], &Options::default()).unwrap_err();
+        assert!(matches!(error, Error::UnknownPrimitive { found: Primitive::Pulling, .. }), "{error}");
     }
 }

@@ -33,13 +33,9 @@ impl Question {
     }
 
     /// The question about the scene as a mirror shows it, left and right swapped; its pixel stays that of the unmirrored
-    /// view. The hand is its own mirror image in both planes along its approach, so the mirrored hand is a hand again:
-    /// for *-up with its forward axis turned round, because a mirror that keeps up and approach swaps the third.
+    /// view.
     pub(crate) fn mirror(&mut self) {
-        let [ax, ay, az, fx, fy, fz] = self.orientation;
-        let turn =
-            if matches!(self.primitive, Primitive::PushingUp | Primitive::PullingUp) { -1.0 } else { 1.0 };
-        self.orientation = [-ax, ay, az, turn * -fx, turn * fy, turn * fz];
+        self.orientation = Orientation6(self.orientation).mirrored(self.primitive).0;
     }
 
     /// The hand turned half round about its approach. For pushing and pulling the motion is the same.

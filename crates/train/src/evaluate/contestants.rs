@@ -81,10 +81,7 @@ pub(crate) fn proposals(
         network_from_metres: Some(1.0),
         ..Options::default()
     };
-    let mut observation = prep.view.observation();
-    if anywhere && let Observation::Image { mask, .. } = &mut observation {
-        *mask = None;
-    }
+    let observation = observation(prep, anywhere);
     let prediction = match predictor.predict(&observation, &options) {
         Err(Error::Invalid { what: "region", .. }) => {
             return Ok(predictor.config().primitives.iter().map(|_| Vec::new()).collect());
@@ -97,18 +94,27 @@ pub(crate) fn proposals(
     Ok(of_primitives.map(|of| of.proposals.iter().map(candidate).collect()).collect())
 }
 
-/// What the network says of trials of one primitive that others made; nothing to be had where it sees no surface.
+/// What the network sees: without a mask if it is not told what is the object.
+fn observation(prep: &ScenePrep, anywhere: bool) -> Observation {
+    let mut observation = prep.view.observation();
+    if anywhere && let Observation::Image { mask, .. } = &mut observation {
+        *mask = None;
+    }
+    observation
+}
+
+/// What the network says of trials that others made; no chance where it sees no surface.
 pub(super) fn scores(
     predictor: &Predictor,
     prep: &ScenePrep,
     trials: &[Trial],
+    anywhere: bool,
     seed: Seed,
 ) -> Result<Vec<f32>, Error> {
-    let Some(first) = trials.first() else { return Ok(Vec::new()) };
     let options =
         Options { seed: seed.child("score", 0), network_from_metres: Some(1.0), ..Options::default() };
-    let grasps: Vec<Grasp> = trials.iter().map(|trial| trial.grasp_in_camera).collect();
-    let scores = predictor.score(&prep.view.observation(), first.primitive, &grasps, &options)?;
+    let hands: Vec<(Primitive, Grasp)> = trials.iter().map(|t| (t.primitive, t.grasp_in_camera)).collect();
+    let scores = predictor.score(&observation(prep, anywhere), &hands, &options)?;
     Ok(scores.into_iter().map(|score| score.unwrap_or(0.0)).collect())
 }
 

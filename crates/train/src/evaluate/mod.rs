@@ -222,14 +222,20 @@ impl Judge<'_> {
         let wanted = Wanted { count, clearance: config.clearance, anywhere: config.anywhere };
         let proposals = proposals(predictor, prep, &sampler, wanted, seed)
             .map_err(|source| EvaluateError::Predict { scene: index, source })?;
+        let mut random: Vec<Trial> = Vec::new();
         for ((&primitive, own), result) in primitives.iter().zip(&proposals).zip(&mut results) {
             if self.stopped() {
                 return Ok(Outcome::Stopped);
             }
-            let trials = self.primitive(prep, &sampler, primitive, own, result);
-            let scores = contestants::scores(predictor, prep, &trials, seed)
-                .map_err(|source| EvaluateError::Predict { scene: index, source })?;
-            result.scored = scores.into_iter().zip(trials.iter().map(|t| t.verdict.success)).collect();
+            random.extend(self.primitive(prep, &sampler, primitive, own, result));
+        }
+        let scores = contestants::scores(predictor, prep, &random, config.anywhere, seed)
+            .map_err(|source| EvaluateError::Predict { scene: index, source })?;
+        for (trial, score) in random.iter().zip(scores) {
+            let output = predictor.config().output_of(trial.primitive);
+            if let Some(result) = output.and_then(|output| results.get_mut(output)) {
+                result.scored.push((score, trial.verdict.success));
+            }
         }
         Ok(judged(results))
     }
