@@ -167,22 +167,14 @@ impl ScoringHeads {
 
     /// [`Self::logits`] of some hands, of what the backbone gives at their points and, if there is a second look, of the scan.
     fn of_block(&self, asked: &[Asked], rows: &[f32], cloud: Option<&CloudInput>) -> Result<Vec<f32>, Error> {
-        let (heads, n) = (&self.heads, asked.len());
-        let features = self.features(rows, n);
         let axes: Vec<f32> = asked.iter().flat_map(|asked| asked.orientation.0).collect();
-        let axes = Tensor::<3>::from_data(TensorData::new(axes, [n, 1, 6]), &self.device);
-        let hands = heads.score.hands(features.clone(), axes.clone());
-        let logits = match heads.second_look.as_ref().zip(cloud) {
-            Some((look, cloud)) => {
-                let frame = |asked: &Asked| {
-                    hand_frame(cloud.network_from_metres(&asked.point).into(), &asked.orientation)
-                };
-                let views = cloud.hand_views(&asked.iter().map(frame).collect::<Vec<_>>());
-                look.forward(features.clone(), hands, &views)
-            }
-            None => heads.score.forward_hands(features.clone(), hands),
-        };
-        let logits = heads.with_ways(logits, features, axes).into_data();
+        let axes = Tensor::<2>::from_data(TensorData::new(axes, [asked.len(), 6]), &self.device);
+        let hand_views = cloud.map_or_else(Vec::new, |cloud| {
+            let point = |asked: &Asked| cloud.network_from_metres(&asked.point).into();
+            let frame = |asked: &Asked| hand_frame(point(asked), &asked.orientation);
+            cloud.hand_views(&asked.iter().map(frame).collect::<Vec<_>>())
+        });
+        let logits = self.heads.logits(self.features(rows, asked.len()), axes, &hand_views).into_data();
         logits.try_into_vec().map_err(|e| Error::Network(format!("{e:?}")))
     }
 
@@ -335,6 +327,10 @@ mod tests {
             for ((found, a), b) in found.iter().zip(one).zip(other) {
                 let mean = sigmoid(0.5 * (a + b));
                 assert!((found.unwrap() - mean).abs() < 1e-4, "{i}: {found:?} {mean}");
+            }
+            for threads in [1, 3] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                assert_eq!(pool.install(|| predictor.score(&view, &hands, &options)).unwrap(), found, "{i}");
             }
         }
     }

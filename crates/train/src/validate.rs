@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use where2act_core::shard::{RGB_SIDE, SceneRecord};
 use where2act_core::{ImageSize, Orientation6, Policy, Seed, Trial};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
-use where2act_model::{Choice, Heads, Input, Modality, Network, hand_frame};
+use where2act_model::{Choice, Input, Modality, Network, hand_frame};
 
 use crate::batch::picture_pixel;
 use crate::dataset::{DataError, Dataset, SceneId};
@@ -72,14 +72,7 @@ fn score_record(
     };
     let orientations: Vec<f32> = orientations.iter().flat_map(|orientation| orientation.0).collect();
     let orientations = Tensor::<2>::from_data(TensorData::new(orientations, [trials.len(), 6]), &device);
-    let Heads { score, second_look, .. } = &network.heads;
-    let axes = orientations.unsqueeze_dim(1);
-    let hands = score.hands(features.clone(), axes.clone());
-    let logits = match second_look {
-        Some(look) => look.forward(features.clone(), hands, &hand_views),
-        None => score.forward_hands(features.clone(), hands),
-    };
-    let logits = network.heads.with_ways(logits, features, axes);
+    let logits = network.heads.logits(features, orientations, &hand_views);
     let choice = Choice::new(&outputs, config.primitives.len(), &device);
     let scores = sigmoid(choice.pick(logits)).into_data().convert::<f32>();
     let scores = scores.as_slice::<f32>().unwrap_or_default();

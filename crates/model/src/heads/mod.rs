@@ -18,6 +18,7 @@ use burn::tensor::{Device, Int, Tensor, TensorData};
 
 use crate::config::ModelConfig;
 use crate::layers::linear;
+use crate::pointnet::Grouping;
 pub use actionability::ActionabilityHead;
 pub use motion::{MotionHead, intended_axes};
 pub use proposal::{Code, ProposalDecoder, ProposalEncoder, ProposalHead};
@@ -56,6 +57,22 @@ impl Heads {
     #[must_use]
     pub fn heeded_ways(&self) -> Option<&MotionHead> {
         self.motion.as_ref().filter(|head| head.weight() != 0.0)
+    }
+
+    /// Logits of a hand at each of some points, by the last score that there is, with what the ways of the points add.
+    ///
+    /// # Shapes
+    /// features `[n, features]`, orthonormal axes `[n, 6]`, what the hands see of a scan if there is a second look, of
+    /// [`crate::preprocess::CloudInput::hand_views`] -> `[n, primitives]`
+    #[must_use]
+    pub fn logits(&self, features: Tensor<2>, orientations: Tensor<2>, hand_views: &[Grouping]) -> Tensor<2> {
+        let axes = orientations.unsqueeze_dim(1);
+        let hands = self.score.hands(features.clone(), axes.clone());
+        let logits = match &self.second_look {
+            Some(look) => look.forward(features.clone(), hands, hand_views),
+            None => self.score.forward_hands(features.clone(), hands),
+        };
+        self.with_ways(logits, features, axes)
     }
 
     /// Logits of a score, first or second, with what the ways of their points add to them.
