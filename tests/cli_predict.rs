@@ -290,6 +290,16 @@ fn a_cut_out_is_its_own_mask() {
 }
 
 #[test]
+fn a_box_keeps_proposals_inside() {
+    let bench = Bench::new();
+    let run = bench.predict(&["picture.png", "--box", "100,30,900,20", "--json"]).assert().success();
+    let prediction = parse_line(&run.get_output().stdout);
+    let proposals: Vec<_> = prediction.primitives.iter().flat_map(|of| &of.proposals).collect();
+    assert!(!proposals.is_empty());
+    assert!(proposals.iter().all(|p| (100..160).contains(&p.pixel.u) && (30..50).contains(&p.pixel.v)));
+}
+
+#[test]
 fn numbers_that_are_seldom_meant_are_told_but_not_refused() {
     let bench = Bench::new();
     let mut bytes = Vec::new();
@@ -386,6 +396,9 @@ fn refusals_are_one_line_that_names_the_culprit() {
         (&["picture.png", "--depth", "small.png", "--fov", "40"], &["small.png", "16-bit"]),
         (&["picture.png", "--mask", "small.png"], &["--mask small.png", "160x120", "8x8"]),
         (&["picture.png", "scan.ply", "--mask", "small.png"], &["--mask", "one input", "2"]),
+        (&["picture.png", "--box", "1,2,3"], &["--box", "four numbers", "3"]),
+        (&["picture.png", "--box", "160,0,9,9"], &["--box", "160 x 120", "160,0,9,9"]),
+        (&["scan.ply", "--box", "0,0,9,9"], &["--box", "found a scan"]),
         (&["picture.png", "--weights", "weights/cloud"], &["where2act-cloud", "pictures", "scans"]),
         (&["picture.png", "--weights", "nowhere"], &["nowhere", "config.json"]),
         (&["picture.png", "--pixel", "160,0"], &["pixel", "below 160", "160,0"]),

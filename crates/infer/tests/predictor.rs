@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
 use where2act_core::{
-    GRIPPER, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing,
+    GRIPPER, Grasp, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing,
 };
 use where2act_infer::{Backend, Error, Options, Output, Predictor, draw_overlay};
 use where2act_kernels::Isa;
@@ -210,6 +210,68 @@ fn a_mask_keeps_candidates_and_heat_on_the_object() {
     }
     let map = output.maps.dense(Primitive::Pulling);
     assert!((0..8000).all(|i| (map[i] > 0.0) == on(i)));
+}
+
+/// A network that looks closely sees of a masked picture what it sees of the picture cut out, and says so in the picture's pixels.
+#[test]
+fn a_close_look_at_a_mask_is_a_look_at_what_was_cut_out() {
+    let mut config = ModelConfig::new(Modality::Rgb, &Primitive::ALL).with_width(0.125);
+    config.preprocessing.close_up = Some(1.5);
+    let network = Network::new(&config, Seed(7), &burn::tensor::Device::flex());
+    let predictor =
+        Predictor::from_weights(Weights { network, sha256: "0".repeat(64) }, Backend::Fast).unwrap();
+    // 40 x 24 pixels with their corner at (100, 50), in the middle of 60 x 60 with theirs at (90, 32).
+    let (left, top, side) = (90, 32, 60);
+    let Observation::Image { size, rgb: Some(rgb), .. } = picture(200, 150) else { unreachable!() };
+    let on = |u: usize, v: usize| (100..140).contains(&u) && (50..74).contains(&v);
+    let cut = |i: usize| (left + i % side, top + i / side);
+    let image = |size: ImageSize, rgb: Vec<[u8; 3]>, mask: Vec<bool>, cx: f32, cy: f32| Observation::Image {
+        depth: Some(vec![2.0; size.pixels()]),
+        intrinsics: Some(Intrinsics { fx: 300.0, fy: 300.0, cx, cy }),
+        size,
+        rgb: Some(rgb),
+        mask: Some(mask),
+    };
+    let inner: Vec<_> = (0..side * side).map(cut).collect();
+    let small = image(
+        ImageSize::square(side),
+        inner.iter().map(|&(u, v)| rgb[v * 200 + u]).collect(),
+        inner.iter().map(|&(u, v)| on(u, v)).collect(),
+        100.0 - left as f32,
+        75.0 - top as f32,
+    );
+    let mask = (0..size.pixels()).map(|i| on(i % 200, i / 200)).collect();
+    let large = image(size, rgb, mask, 100.0, 75.0);
+    let options = Options { clearance: false, ..Options::default() };
+    let [close, expected] = [&large, &small].map(|seen| predictor.predict_dense(seen, &options).unwrap());
+    for (close, expected) in close.prediction.primitives.iter().zip(&expected.prediction.primitives) {
+        assert!(!close.proposals.is_empty());
+        assert_eq!(close.actionability, expected.actionability);
+        for (close, expected) in close.proposals.iter().zip(&expected.proposals) {
+            let Pixel { u, v } = expected.pixel;
+            assert_eq!(close.pixel, Pixel { u: u + left as u32, v: v + top as u32 });
+            assert_eq!((close.score, close.rotation), (expected.score, expected.rotation));
+        }
+    }
+    for (u, v) in [(100, 50), (120, 60), (139, 73)] {
+        let at = |output: &Output<'_>, u: usize, v: usize| {
+            output.maps.at(Primitive::Pulling, u as f32 + 0.25, v as f32 + 0.75).unwrap()
+        };
+        let (found, wanted) = (at(&close, u, v), at(&expected, u - left, v - top));
+        assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
+    }
+    assert_eq!(close.maps.at(Primitive::Pulling, 95.0, 60.0), None);
+    // Hands of one's own, and the pixel that one asks about, are found there too.
+    let proposal = &close.prediction.primitives[0].proposals[0];
+    let hand = Grasp {
+        point: Point3::new(0.1, -0.1, 2.0),
+        rotation: nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), 0.3),
+    };
+    let score = |seen| predictor.score(seen, &[(Primitive::Pushing, hand)], &options).unwrap()[0].unwrap();
+    assert_eq!(score(&large), score(&small));
+    let pixel = proposal.pixel;
+    let asked = predictor.predict(&large, &Options { pixel: Some(pixel), ..options.clone() }).unwrap();
+    assert_eq!(asked.primitives[0].proposals[0].pixel, pixel);
 }
 
 #[test]

@@ -26,6 +26,10 @@ pub struct Preprocessing {
     pub image_std: [f32; 3],
     /// Whether pixels outside a mask, and the bars of the letterbox, are painted white as in the published pictures.
     pub white_background: bool,
+    /// If there is a mask, the network sees the square around it, larger than the mask's larger extent by this factor, and not the
+    /// whole picture. The published network always sees that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub close_up: Option<f32>,
     /// Random foreground points that furthest point sampling chooses from. Published: 30,000.
     pub scan_candidates: usize,
     /// Smallest and largest robust radius of the clouds seen in training, in network units (metres there). A cloud
@@ -41,6 +45,7 @@ impl Default for Preprocessing {
             image_mean: [0.485, 0.456, 0.406],
             image_std: [0.229, 0.224, 0.225],
             white_background: true,
+            close_up: None,
             scan_candidates: 30_000,
             scan_radius: [0.4, 1.0],
         }
@@ -204,6 +209,8 @@ impl ModelConfig {
         check(finite, "image_mean", format!("{:?}", p.image_mean), "finite numbers")?;
         let positive = p.image_std.iter().all(|x| x.is_finite() && *x > 1e-6);
         check(positive, "image_std", format!("{:?}", p.image_std), "numbers above 0")?;
+        let margin = p.close_up.unwrap_or(1.0);
+        check((1.0..=10.0).contains(&margin), "close_up", margin.to_string(), "a number in [1, 10]")?;
         let candidates = (1..=10_000_000).contains(&p.scan_candidates);
         check(candidates, "scan_candidates", p.scan_candidates.to_string(), "a number in 1..=10000000")?;
         let [low, high] = p.scan_radius;
@@ -254,6 +261,7 @@ mod tests {
             ("\"pushing-up\"", "\"pushing\"", "each once"),
             ("\"hidden\": 128", "\"hidden\": 128, \"actionability_hidden\": 0", "actionability_hidden is 0"),
             ("\"image_side\": 224", "\"image_side\": 225", "image_side is 225"),
+            ("\"image_side\": 224", "\"image_side\": 224, \"close_up\": 0.5", "close_up is 0.5"),
             ("model/1", "model/2", "where2act.model/1"),
             ("\"latent\"", "\"latnet\"", "latnet"),
             ("\"hidden\": 128", "\"hidden\": 128, \"ways\": -1.0", "ways is -1"),

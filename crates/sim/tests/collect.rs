@@ -162,7 +162,7 @@ fn a_full_disk_is_told_and_what_was_written_stays() {
 #[test]
 fn scenes_are_made_again_from_their_info() {
     let folder = tempfile::tempdir().unwrap();
-    assert!(run(folder.path(), &["--randomise", "--wide"]).status.success());
+    assert!(run(folder.path(), &["--randomise", "--wide", "--close", "0.5"]).status.success());
     let manifest = Manifest::load(folder.path()).unwrap();
     let recipe: Recipe = serde_json::from_value(manifest.recipe).unwrap();
     let preparer = Preparer::new(recipe);

@@ -7,57 +7,127 @@ use super::PreprocessError;
 use super::resize::resize;
 use crate::config::Preprocessing;
 
-/// How a picture lies in the network's square: scaled to fit, centred, bars on two sides.
+/// Part of a picture: the network sees nothing beside it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    /// Its first column.
+    pub left: usize,
+    /// Its first row.
+    pub top: usize,
+    /// Columns and rows.
+    pub size: ImageSize,
+}
+
+impl Window {
+    /// All of a picture.
+    #[must_use]
+    pub const fn whole(size: ImageSize) -> Self {
+        Self { left: 0, top: 0, size }
+    }
+
+    /// The square around a mask, `margin` times as large as the mask's larger extent, as far as the picture reaches. All of it if
+    /// nothing is inside the mask.
+    #[must_use]
+    pub fn around(mask: &[bool], picture: ImageSize, margin: f32) -> Self {
+        let rows: Vec<&[bool]> = mask.chunks_exact(picture.width.max(1)).collect();
+        let has_some = |row: &&[bool]| row.contains(&true);
+        let (first, last) = (rows.iter().position(has_some), rows.iter().rposition(has_some));
+        let left = rows.iter().filter_map(|row| row.iter().position(|&on| on)).min();
+        let right = rows.iter().filter_map(|row| row.iter().rposition(|&on| on)).max();
+        let (Some(top), Some(bottom), Some(left), Some(right)) = (first, last, left, right) else {
+            return Self::whole(picture);
+        };
+        let extent = (right + 1 - left).max(bottom + 1 - top) as f32;
+        let side = (extent * margin).ceil();
+        let along = |first: usize, last: usize, length: usize| {
+            let start = (0.5 * ((first + last + 1) as f32 - side)).round();
+            let inside = |x: f32| (x.max(0.0) as usize).min(length);
+            (inside(start), inside(start + side) - inside(start))
+        };
+        let (left, width) = along(left, right, picture.width);
+        let (top, height) = along(top, bottom, picture.height);
+        Self { left, top, size: ImageSize { width, height } }
+    }
+
+    /// The picture's pixels in the window, row by row, as indices of its buffers.
+    fn indices(self, picture: ImageSize) -> impl Iterator<Item = usize> {
+        let Self { left, top, size } = self;
+        (top..top + size.height)
+            .flat_map(move |row| (left..left + size.width).map(move |u| row * picture.width + u))
+    }
+}
+
+/// How a picture, or a window of it, lies in the network's square: scaled to fit, centred, bars on two sides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Letterbox {
     /// Size of the picture.
     pub source: ImageSize,
+    /// What of it is shown.
+    pub window: Window,
     /// Side of the square.
     pub side: usize,
-    /// Size of the picture inside the square.
+    /// Size of the window inside the square.
     pub inner: ImageSize,
-    /// Column and row of the square where the picture begins.
+    /// Column and row of the square where the window begins.
     pub offset: (usize, usize),
 }
 
 impl Letterbox {
-    /// The largest centred fit that keeps the proportions, rounded to whole pixels.
+    /// The largest centred fit of a whole picture that keeps the proportions, rounded to whole pixels.
     ///
     /// # Errors
     /// [`PreprocessError::EmptyImage`].
     pub fn new(source: ImageSize, side: usize) -> Result<Self, PreprocessError> {
-        if source.pixels() == 0 || side == 0 {
-            return Err(PreprocessError::EmptyImage);
-        }
-        let longer = source.width.max(source.height) as f64;
-        let fit = |length: usize| ((length as f64 * side as f64 / longer).round() as usize).clamp(1, side);
-        let inner = ImageSize { width: fit(source.width), height: fit(source.height) };
-        Ok(Self { source, side, inner, offset: ((side - inner.width) / 2, (side - inner.height) / 2) })
+        Self::of_window(source, Window::whole(source), side)
     }
 
-    /// Where a pixel of the picture lies in the square.
+    /// The same of a window inside the picture.
+    ///
+    /// # Errors
+    /// [`PreprocessError::EmptyImage`].
+    pub fn of_window(source: ImageSize, window: Window, side: usize) -> Result<Self, PreprocessError> {
+        let shown = window.size;
+        if source.pixels() == 0 || shown.pixels() == 0 || side == 0 {
+            return Err(PreprocessError::EmptyImage);
+        }
+        let longer = shown.width.max(shown.height) as f64;
+        let fit = |length: usize| ((length as f64 * side as f64 / longer).round() as usize).clamp(1, side);
+        let inner = ImageSize { width: fit(shown.width), height: fit(shown.height) };
+        Ok(Self {
+            source,
+            window,
+            side,
+            inner,
+            offset: ((side - inner.width) / 2, (side - inner.height) / 2),
+        })
+    }
+
+    /// Where a pixel of the picture lies in the square; the nearest one that is shown, if it is beside the window.
     #[must_use]
     pub fn to_network(&self, pixel: Pixel) -> Pixel {
-        let along = |p: u32, from: usize, to: usize, offset: usize| {
-            let inside = ((f64::from(p) + 0.5) * to as f64 / from as f64) as usize;
+        let along = |p: u32, start: usize, from: usize, to: usize, offset: usize| {
+            let inside = ((f64::from(p) + 0.5 - start as f64) * to as f64 / from as f64).max(0.0) as usize;
             (offset + inside.min(to - 1)) as u32
         };
+        let Window { left, top, size } = self.window;
         Pixel {
-            u: along(pixel.u, self.source.width, self.inner.width, self.offset.0),
-            v: along(pixel.v, self.source.height, self.inner.height, self.offset.1),
+            u: along(pixel.u, left, size.width, self.inner.width, self.offset.0),
+            v: along(pixel.v, top, size.height, self.inner.height, self.offset.1),
         }
     }
 
     /// The pixel of the picture in the middle of a pixel of the square; `None` on the bars.
     #[must_use]
     pub fn to_source(&self, pixel: Pixel) -> Option<Pixel> {
-        let along = |p: u32, from: usize, to: usize, offset: usize| {
+        let along = |p: u32, start: usize, from: usize, to: usize, offset: usize| {
             let inside = (p as usize).checked_sub(offset).filter(|i| *i < to)?;
-            Some((((inside as f64 + 0.5) * from as f64 / to as f64) as usize).min(from - 1) as u32)
+            let inside = (((inside as f64 + 0.5) * from as f64 / to as f64) as usize).min(from - 1);
+            Some((start + inside) as u32)
         };
+        let Window { left, top, size } = self.window;
         Some(Pixel {
-            u: along(pixel.u, self.source.width, self.inner.width, self.offset.0)?,
-            v: along(pixel.v, self.source.height, self.inner.height, self.offset.1)?,
+            u: along(pixel.u, left, size.width, self.inner.width, self.offset.0)?,
+            v: along(pixel.v, top, size.height, self.inner.height, self.offset.1)?,
         })
     }
 
@@ -87,7 +157,8 @@ pub struct ImageInput {
 }
 
 impl ImageInput {
-    /// Prepares sRGB colours `[height * width]`; a mask says which pixels belong to the object.
+    /// Prepares sRGB colours `[height * width]`; a mask says which pixels belong to the object, and may decide what of the
+    /// picture is shown: [`Preprocessing::close_up`].
     ///
     /// # Errors
     /// [`PreprocessError::EmptyImage`], [`PreprocessError::Size`].
@@ -97,11 +168,15 @@ impl ImageInput {
         mask: Option<&[bool]>,
         with: &Preprocessing,
     ) -> Result<Self, PreprocessError> {
-        let letterbox = Letterbox::new(size, with.image_side)?;
         PreprocessError::check_size("the colour buffer", size, rgb.len())?;
         if let Some(mask) = mask {
             PreprocessError::check_size("the mask", size, mask.len())?;
         }
+        let window = match (mask, with.close_up) {
+            (Some(mask), Some(margin)) => Window::around(mask, size, margin),
+            _ => Window::whole(size),
+        };
+        let letterbox = Letterbox::of_window(size, window, with.image_side)?;
         let mask = mask.filter(|_| with.white_background);
         let background = if with.white_background { 1.0 } else { 0.0 };
         let (side, inner) = (with.image_side, letterbox.inner);
@@ -111,8 +186,8 @@ impl ImageInput {
                 Some(mask) if !mask[i] => 1.0,
                 _ => f32::from(rgb[i][channel]) / 255.0,
             };
-            let plane: Vec<f32> = (0..size.pixels()).map(colour).collect();
-            let small = resize(&plane, size, inner);
+            let plane: Vec<f32> = window.indices(size).map(colour).collect();
+            let small = resize(&plane, window.size, inner);
             let normal = |x: f32| (x - mean) / std;
             let start = values.len();
             values.resize(start + side * side, normal(background));
@@ -158,6 +233,78 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// A picture whose pixels all differ, and a mask that is a rectangle.
+    fn masked(size: ImageSize, [left, top, right, bottom]: [usize; 4]) -> (Vec<[u8; 3]>, Vec<bool>) {
+        let rgb =
+            (0..size.pixels()).map(|i| [(i % 256) as u8, (i / 7 % 256) as u8, (i / 256) as u8]).collect();
+        let inside =
+            |i: usize| (left..right).contains(&(i % size.width)) && (top..bottom).contains(&(i / size.width));
+        (rgb, (0..size.pixels()).map(inside).collect())
+    }
+
+    proptest! {
+        #[test]
+        fn a_window_holds_its_mask_in_the_middle_and_every_pixel_of_it_comes_back(
+            w in 1usize..300, h in 1usize..300, corners in proptest::array::uniform4(0.0f32..1.0), margin in 1.0f32..3.0,
+        ) {
+            let size = ImageSize { width: w, height: h };
+            let at = |share: f32, length: usize| (share * length as f32) as usize;
+            let [a, b, c, d] = corners;
+            let (left, right) = (at(a.min(b), w), at(a.max(b), w) + 1);
+            let (top, bottom) = (at(c.min(d), h), at(c.max(d), h) + 1);
+            let (_, mask) = masked(size, [left, top, right, bottom]);
+            let (right, bottom) = (right.min(w), bottom.min(h));
+            let window = Window::around(&mask, size, margin);
+            let (end, low) = (window.left + window.size.width, window.top + window.size.height);
+            prop_assert!(window.left <= left && right <= end && end <= w);
+            prop_assert!(window.top <= top && bottom <= low && low <= h);
+            let side = margin * (right - left).max(bottom - top) as f32;
+            prop_assert!(window.size.width as f32 <= side + 2.0 && window.size.height as f32 <= side + 2.0);
+            for (before, after, whole) in [(left - window.left, end - right, w), (top - window.top, low - bottom, h)] {
+                let at_an_edge = window.left == 0 || end == w || window.top == 0 || low == h;
+                prop_assert!(before.abs_diff(after) <= 2 || at_an_edge, "{before} {after} of {whole}");
+            }
+            let letterbox = Letterbox::of_window(size, window, 64).unwrap();
+            let off = 64.0 / window.size.width.max(window.size.height) as f32;
+            for (u, v) in [(0, 32), (32, 0), (32, 32), (63, 32), (32, 63)] {
+                let Some(source) = letterbox.to_source(Pixel { u, v }) else { continue };
+                let inside = (window.left..end).contains(&(source.u as usize))
+                    && (window.top..low).contains(&(source.v as usize));
+                prop_assert!(inside, "{source:?} {window:?}");
+                let back = letterbox.to_network(source);
+                prop_assert!((back.u as f32 - u as f32).abs() <= off && (back.v as f32 - v as f32).abs() <= off);
+            }
+            // What is beside the window has a place in the square all the same.
+            for pixel in [Pixel { u: 0, v: 0 }, Pixel { u: w as u32 - 1, v: h as u32 - 1 }] {
+                prop_assert!(letterbox.network_index(pixel) < 64 * 64);
+            }
+        }
+    }
+
+    #[test]
+    fn a_close_up_is_the_picture_cut_out() {
+        let size = ImageSize { width: 90, height: 70 };
+        let (rgb, mask) = masked(size, [30, 10, 50, 50]);
+        let with = Preprocessing { image_side: 32, close_up: Some(1.1), ..Preprocessing::default() };
+        let window = Window::around(&mask, size, 1.1);
+        assert_eq!(window, Window { left: 18, top: 8, size: ImageSize::square(44) });
+        let cut = |i: usize| (window.top + i / 44) * 90 + window.left + i % 44;
+        let rgb_inside: Vec<_> = (0..44 * 44).map(|i| rgb[cut(i)]).collect();
+        let mask_inside: Vec<_> = (0..44 * 44).map(|i| mask[cut(i)]).collect();
+        let close = ImageInput::new(size, &rgb, Some(&mask), &with).unwrap();
+        let expected = ImageInput::new(
+            window.size,
+            &rgb_inside,
+            Some(&mask_inside),
+            &Preprocessing { close_up: None, ..with.clone() },
+        );
+        assert_eq!(close.values, expected.unwrap().values);
+        // Without a mask, and with one that is empty, all of it is shown.
+        let whole = |mask| ImageInput::new(size, &rgb, mask, &with).unwrap().letterbox;
+        assert_eq!(whole(None), Letterbox::new(size, 32).unwrap());
+        assert_eq!(whole(Some(&[false; 6300])), Letterbox::new(size, 32).unwrap());
     }
 
     #[test]

@@ -5,7 +5,7 @@ mod image;
 mod resize;
 
 pub use cloud::{CloudInput, CloudScale, is_measured};
-pub use image::{ImageInput, Letterbox};
+pub use image::{ImageInput, Letterbox, Window};
 
 use where2act_core::ImageSize;
 

@@ -55,6 +55,9 @@ struct Cli {
     /// Cameras from a wide range of distances, heights and fields of view.
     #[arg(long)]
     wide: bool,
+    /// Share of the scenes whose camera zooms in on the object, for networks for pictures.
+    #[arg(long, default_value_t = 0.0, value_name = "FRACTION", value_parser = fraction)]
+    close: f64,
     /// Random light, materials, background and sensor noise, for networks that shall work on photos.
     #[arg(long)]
     randomise: bool,
@@ -157,6 +160,7 @@ fn recipe(cli: &Cli) -> anyhow::Result<Recipe> {
         trials: cli.trials,
         guided: cli.guided,
         wide: cli.wide,
+        close: cli.close,
         randomise: cli.randomise,
         varied: cli.varied,
         faithful: cli.faithful,

@@ -10,7 +10,7 @@ use where2act_core::shard::{Freedom, SceneInfo};
 
 use super::{CollectError, ObjectSet, Recipe};
 use crate::object::{self, JointKind, Object};
-use crate::render::{Look, View, render, sample_camera, visible_bounds};
+use crate::render::{Look, View, close_up, render, sample_camera, visible_bounds};
 use crate::scene::{Scene, SettledScene};
 
 /// Objects, poses and cameras tried before a scene is given up.
@@ -110,9 +110,14 @@ impl Preparer {
         let mut coins = seed.child("published", 0).rng();
         let randomise = !coins.random_bool(PUBLISHED_LOOKS) && self.recipe.randomise;
         let wide = !coins.random_bool(PUBLISHED_CAMERAS) && self.recipe.wide;
+        let close = self.recipe.close > 0.0 && coins.random_bool(self.recipe.close.min(1.0));
         let look = if randomise { Look::random(&mut seed.child("look", 0).rng()) } else { Look::default() };
         (0..CAMERAS).find_map(|n| {
-            let camera = sample_camera(centre, &mut seed.child("camera", n).rng(), wide);
+            let rng = &mut seed.child("camera", n).rng();
+            let mut camera = sample_camera(centre, rng, wide);
+            if close {
+                camera = close_up(&camera, settled.object(), &poses, rng);
+            }
             let view = render(settled.object(), &poses, &camera, &look);
             (view.link.iter().filter(|&&l| l > 1).count() >= MIN_MOVABLE_PIXELS).then_some(view)
         })

@@ -29,6 +29,9 @@ pub struct Recipe {
     pub guided: f64,
     /// Cameras from a wide range instead of the published one, in half of the scenes.
     pub wide: bool,
+    /// Share of the scenes whose camera zooms in on the object: [`crate::render::close_up`].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub close: f64,
     /// Random light, paint, background and sensor instead of the published look, in three scenes of four.
     pub randomise: bool,
     /// Share of the scenes whose object is in other proportions and perhaps turned: [`crate::object::Object::varied`].
@@ -48,6 +51,7 @@ impl Default for Recipe {
             trials: 48,
             guided: 0.5,
             wide: false,
+            close: 0.0,
             randomise: false,
             varied: 0.0,
             faithful: false,

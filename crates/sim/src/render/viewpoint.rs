@@ -2,14 +2,20 @@
 
 use std::f32::consts::{PI, TAU};
 
-use nalgebra::{Isometry3, Point3};
+use nalgebra::{Isometry3, Point2, Point3};
 use rand::{Rng, RngExt};
-use where2act_core::{Camera, ImageSize};
+use where2act_core::{Camera, ImageSize, Intrinsics};
 
 use crate::object::Object;
 
 /// Radius of the sphere that holds every object, with a margin, metres: wide cameras keep it in the picture.
 const OBJECT_RADIUS: f32 = 1.1;
+
+/// Side of the picture at least, and how many times that at most, if the camera zooms in: parts of the object's extent.
+const LEAST_MARGIN: f32 = 1.05;
+const MOST_ZOOMED_OUT: f32 = 1.7;
+/// Share of the room beside the object by which it may be off the middle of the picture.
+const OFF_CENTRE: f32 = 0.7;
 
 /// A random 448x448 camera that looks at `object_centre`.
 ///
@@ -31,6 +37,52 @@ pub fn sample_camera(object_centre: Point3<f32>, rng: &mut impl Rng, wide: bool)
     Camera::orbit(object_centre, distance, azimuth, elevation, size, fov)
 }
 
+/// The same camera, zoomed in on an object until it fills 0.55 to 0.95 of the picture's side, mostly the latter: what a network
+/// for pictures sees that knows where the object is. The object is in the middle, or beside it as far as there is room.
+///
+/// As it was if nothing is visible.
+#[must_use]
+pub fn close_up(
+    camera: &Camera,
+    object: &Object,
+    world_from_links: &[Isometry3<f32>],
+    rng: &mut impl Rng,
+) -> Camera {
+    let Some((min, max)) = outline(camera, object, world_from_links) else { return *camera };
+    let extent = (max - min).max();
+    let side = extent * LEAST_MARGIN * MOST_ZOOMED_OUT.powf(rng.random::<f32>().powi(3));
+    let mut corner = |min: f32, max: f32| {
+        let room = 0.5 * (side - (max - min));
+        0.5 * (min + max - side) + OFF_CENTRE * room * rng.random_range(-1.0f32..1.0)
+    };
+    let (left, top) = (corner(min.x, max.x), corner(min.y, max.y));
+    let zoom = camera.size.width as f32 / side;
+    let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
+    let intrinsics =
+        Intrinsics { fx: fx * zoom, fy: fy * zoom, cx: (cx - left) * zoom, cy: (cy - top) * zoom };
+    Camera { intrinsics, ..*camera }
+}
+
+/// Corners of the rectangle around everything visible of an object, in the camera's pixels. `None` if nothing is before it.
+fn outline(
+    camera: &Camera,
+    object: &Object,
+    world_from_links: &[Isometry3<f32>],
+) -> Option<(Point2<f32>, Point2<f32>)> {
+    let camera_from_world = camera.camera_from_world();
+    let mut min = Point2::new(f32::INFINITY, f32::INFINITY);
+    let mut max = -min;
+    for (link, pose) in object.links.iter().zip(world_from_links) {
+        let camera_from_link = camera_from_world * pose;
+        for point in link.visuals.iter().flat_map(|v| &v.mesh.positions) {
+            let Some((x, y)) = camera.intrinsics.project(&(camera_from_link * point)) else { continue };
+            min = min.inf(&Point2::new(x, y));
+            max = max.sup(&Point2::new(x, y));
+        }
+    }
+    ((max - min).max() > 0.0).then_some((min, max))
+}
+
 /// Corners of the box around everything visible of an object, in the world. The origin if nothing is visible.
 #[must_use]
 pub fn visible_bounds(object: &Object, world_from_links: &[Isometry3<f32>]) -> (Point3<f32>, Point3<f32>) {
@@ -50,6 +102,25 @@ pub fn visible_bounds(object: &Object, world_from_links: &[Isometry3<f32>]) -> (
 mod tests {
     use super::*;
     use where2act_core::Seed;
+
+    #[test]
+    fn close_ups_hold_the_whole_object_and_little_else() {
+        let object = crate::object::open("Microwave:3").unwrap();
+        let poses = object.world_from_links(&vec![0.0; object.links.len() - 1]);
+        let mut extents = Vec::new();
+        for seed in 0..50 {
+            let rng = &mut Seed(seed).rng();
+            let camera = sample_camera(Point3::origin(), rng, seed % 2 == 0);
+            let close = close_up(&camera, &object, &poses, rng);
+            assert_eq!((close.size, close.world_from_camera), (camera.size, camera.world_from_camera));
+            let (min, max) = outline(&close, &object, &poses).unwrap();
+            assert!(min.x > 0.0 && min.y > 0.0 && max.x < 448.0 && max.y < 448.0, "{min} {max}");
+            extents.push((max - min).max() / 448.0);
+        }
+        extents.sort_by(f32::total_cmp);
+        assert!(extents[0] > 0.55 && extents[25] > 0.8 && extents[49] < 0.953, "{extents:?}");
+        assert!(extents[0] < 0.7, "{extents:?}");
+    }
 
     #[test]
     fn the_object_stays_in_the_picture() {

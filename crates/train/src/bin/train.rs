@@ -261,7 +261,7 @@ fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
 
 /// Collects what the configuration asks for, or the rest of it: the folders.
 fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Result<Vec<PathBuf>> {
-    let CollectConfig { looks, look_objects, scenes, trials, guided, randomise } = config.collect;
+    let CollectConfig { looks, look_objects, scenes, trials, guided, randomise, close } = config.collect;
     let looks = if config.schedule.look_steps > 0 { looks } else { 0 };
     let mut folders = Vec::new();
     let kinds = [("", scenes, trials, ObjectSet::TRAINING_SEEDS), ("-looks", looks, 0, 0..look_objects)];
@@ -277,6 +277,7 @@ fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Resu
             guided: f64::from(guided),
             randomise,
             wide: randomise,
+            close: f64::from(close),
             ..Recipe::default()
         };
         let plan = Plan { resume: true, ..Plan::new(scenes) };

@@ -161,6 +161,7 @@ impl TrainConfig {
         check_share("adaptive.newest", newest)?;
         check(!enabled || buffer >= trials, "adaptive.buffer", buffer, "at least adaptive.trials")?;
         check_share("collect.guided", self.collect.guided)?;
+        check_share("collect.close", self.collect.close)?;
         let objects = self.collect.look_objects;
         let fits = (1..=ObjectSet::TEST_SEEDS.start).contains(&objects);
         check(fits, "collect.look_objects", objects, "at least 1, and none that judges")?;
@@ -180,6 +181,7 @@ mod tests {
             ("[loss]\nkl = -1.0\n", "loss.kl"),
             ("look_steps = 3\n", "schedule.look_steps"),
             ("[collect]\nguided = 2.0\n", "collect.guided"),
+            ("[collect]\nclose = -0.5\n", "collect.close"),
             ("[batch]\nflipped = 3.0\n", "batch.flipped"),
             ("look_steps = 3\n[loss]\nnormal = 1.0\n[batch]\nlooks_per_view = 0\n", "batch.looks_per_view"),
             ("weight_decay = -1.0\n", "schedule.weight_decay"),

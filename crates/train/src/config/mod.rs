@@ -97,6 +97,10 @@ pub struct NetworkConfig {
     /// Whether the best proposals for a scan are scored once more, from the scan as the hand would see it. Not in the paper.
     #[serde(default)]
     pub second_look: bool,
+    /// If a picture comes with a mask, the network is shown the square around it, larger than the mask's larger extent by this
+    /// factor; training shows whole pictures, those of `collect --close` being such squares. The paper's shows whole ones.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub close_up: Option<f32>,
     /// How much it matters to a score whether the joint gives where the hand wants to go, in logits, if the features are
     /// asked for the ways of points at all; 0 asks without consequence. The paper has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -277,6 +281,8 @@ pub struct CollectConfig {
     pub guided: f32,
     /// Random lights, materials, backgrounds and cameras.
     pub randomise: bool,
+    /// Share of the scenes whose camera zooms in on the object, for `network.close_up`.
+    pub close: f32,
 }
 
 impl Default for BatchConfig {
@@ -342,7 +348,15 @@ impl Default for AdaptiveConfig {
 
 impl Default for CollectConfig {
     fn default() -> Self {
-        Self { looks: 0, look_objects: 1000, scenes: 160, trials: 48, guided: 0.6, randomise: false }
+        Self {
+            looks: 0,
+            look_objects: 1000,
+            scenes: 160,
+            trials: 48,
+            guided: 0.6,
+            randomise: false,
+            close: 0.0,
+        }
     }
 }
 
@@ -423,6 +437,7 @@ impl TrainConfig {
         model.second_look = n.second_look && n.modality == Modality::Cloud;
         model.ways = n.ways;
         model.preprocessing.scan_candidates = n.candidates;
+        model.preprocessing.close_up = n.close_up.filter(|_| n.modality == Modality::Rgb);
         model
     }
 

@@ -17,6 +17,7 @@ Examples:
   predict cabinet.png --depth depth.png --intrinsics 615.1,615.4,320.2,239.8
   predict depth.png --fov 42 --primitive pulling --primitive pushing
   predict scan.ply --object-scale 1.5
+  predict kitchen.jpg --box 210,80,400,520
   predict photos/ --out results/
   predict cabinet.jpg --pixel 310,188 --json | jq '.primitives[0].proposals[0]'
 
@@ -60,6 +61,15 @@ pub(crate) struct Args {
     /// Picture whose bright pixels are the object. Default: what is not transparent, if the input is a cut-out.
     #[arg(long, value_name = "F")]
     pub(crate) mask: Option<PathBuf>,
+    /// Rectangle around the object, pixels of the input: a mask that takes no drawing.
+    #[arg(
+        long = "box",
+        value_name = "LEFT,TOP,WIDTH,HEIGHT",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        conflicts_with = "mask"
+    )]
+    rectangle: Vec<u32>,
     /// Primitive to predict; several times for several. Default: all.
     #[arg(long = "primitive", value_name = "P")]
     primitives: Vec<Primitive>,
@@ -156,6 +166,9 @@ impl Args {
         if ![0, 4].contains(&self.intrinsics.len()) {
             bail!("--intrinsics: expected four numbers FX,FY,CX,CY, found {}", self.intrinsics.len());
         }
+        if ![0, 4].contains(&self.rectangle.len()) {
+            bail!("--box: expected four numbers LEFT,TOP,WIDTH,HEIGHT, found {}", self.rectangle.len());
+        }
         if ![0, 2].contains(&self.pixel.len()) {
             bail!("--pixel: expected two numbers U,V, found {}", self.pixel.len());
         }
@@ -217,6 +230,11 @@ impl Args {
             [fx, fy, cx, cy] => Some(Intrinsics { fx, fy, cx, cy }),
             _ => None,
         }
+    }
+
+    /// The rectangle around the object: left, top, width and height.
+    pub(crate) fn rectangle(&self) -> Option<[u32; 4]> {
+        self.rectangle.as_slice().try_into().ok()
     }
 
     /// Where the results of each input go: its own folder, unless it is one file and `--out` names it.

@@ -53,11 +53,16 @@ pub(crate) fn list(args: &Args) -> Result<Vec<Input>> {
             inputs.push(input(given.clone(), kind));
         }
     }
-    for (flag, file) in [("--depth", &args.depth), ("--mask", &args.mask)] {
-        if file.is_some() && inputs.len() != 1 {
+    let given = [
+        ("--depth", args.depth.is_some()),
+        ("--mask", args.mask.is_some()),
+        ("--box", args.rectangle().is_some()),
+    ];
+    for (flag, given) in given {
+        if given && inputs.len() != 1 {
             bail!("{flag}: expected one input that it belongs to, found {}", inputs.len());
         }
-        if file.is_some() && inputs.iter().any(|i| i.kind == FileKind::Scan) {
+        if given && inputs.iter().any(|i| i.kind == FileKind::Scan) {
             bail!("{flag}: expected a picture or depth map as input, found a scan");
         }
     }
@@ -172,10 +177,28 @@ fn intrinsics(args: &Args, size: ImageSize) -> Option<Intrinsics> {
 }
 
 fn mask(args: &Args, size: ImageSize) -> Result<Option<Vec<bool>>> {
+    if let Some(rectangle) = args.rectangle() {
+        return inside(rectangle, size).map(Some);
+    }
     let Some(path) = &args.mask else { return Ok(None) };
     let (found, mask) = read_mask(path)?;
     same_size("--mask", path, found, size)?;
     Ok(Some(mask))
+}
+
+/// The mask of a rectangle, which may reach beyond the picture.
+fn inside([left, top, width, height]: [u32; 4], size: ImageSize) -> Result<Vec<bool>> {
+    let within =
+        |first: u32, length: u32, at: usize| at >= first as usize && at - (first as usize) < length as usize;
+    let at = |i: usize| within(left, width, i % size.width) && within(top, height, i / size.width);
+    let mask: Vec<bool> = (0..size.pixels()).map(at).collect();
+    if !mask.contains(&true) {
+        let ImageSize { width: columns, height: rows } = size;
+        bail!(
+            "--box: expected a rectangle in {columns} x {rows} pixels, found {left},{top},{width},{height}"
+        );
+    }
+    Ok(mask)
 }
 
 fn same_size(flag: &str, path: &Path, found: ImageSize, expected: ImageSize) -> Result<()> {
