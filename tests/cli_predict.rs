@@ -287,16 +287,20 @@ fn a_cut_out_is_its_own_mask() {
     let prediction = parse_line(&run.get_output().stdout);
     let mut proposals = prediction.primitives.iter().flat_map(|of| &of.proposals);
     assert!(proposals.all(|p| (30..90).contains(&p.pixel.u) && (20..100).contains(&p.pixel.v)));
+    let run = bench.predict(&["cut-out.png", "--box", "0,0,50,120", "--json"]).assert().success();
+    let prediction = parse_line(&run.get_output().stdout);
+    let mut proposals = prediction.primitives.iter().flat_map(|of| &of.proposals);
+    assert!(proposals.all(|p| (30..50).contains(&p.pixel.u) && (20..100).contains(&p.pixel.v)));
 }
 
 #[test]
 fn a_box_keeps_proposals_inside() {
     let bench = Bench::new();
-    let run = bench.predict(&["picture.png", "--box", "100,30,900,20", "--json"]).assert().success();
+    let run = bench.predict(&["picture.png", "--box", "100,-30,900,80", "--json"]).assert().success();
     let prediction = parse_line(&run.get_output().stdout);
     let proposals: Vec<_> = prediction.primitives.iter().flat_map(|of| &of.proposals).collect();
     assert!(!proposals.is_empty());
-    assert!(proposals.iter().all(|p| (100..160).contains(&p.pixel.u) && (30..50).contains(&p.pixel.v)));
+    assert!(proposals.iter().all(|p| (100..160).contains(&p.pixel.u) && p.pixel.v < 50));
 }
 
 #[test]

@@ -17,7 +17,8 @@ pub enum Observation {
         depth: Option<Vec<f32>>,
         /// Needed to turn depth into points.
         intrinsics: Option<Intrinsics>,
-        /// Pixels that belong to the object, `[height * width]`; `None` = decide by depth, or take all.
+        /// Pixels that belong to the object, all of it, `[height * width]`; `None` = decide by depth, or take all. It also
+        /// decides what of the picture some networks look at; a part alone is a region, which proposals are kept to.
         mask: Option<Vec<bool>>,
     },
     /// Points in the optical frame, metres.

@@ -19,7 +19,7 @@ pub struct DenseMaps<'a> {
 
 /// How the network's rows lie on the input.
 pub(crate) enum Geometry {
-    /// Pixels of a square picture that holds the input, letterboxed.
+    /// Pixels of a square picture that holds the input, or the part of it around its mask, letterboxed.
     Grid(Letterbox),
     /// Points.
     Points {

@@ -23,7 +23,7 @@ pub struct Options {
     /// Ask for this pixel of the input only (for scans: `u` is the point's index), whatever the region: "what can I do here?"
     pub pixel: Option<Pixel>,
     /// Where proposals may be, one entry per pixel of the input or point of the scan: say, the parts that move. The
-    /// network still sees everything. Of a picture one pixel of the object is enough; a network for scans sees some thousand
+    /// network still sees everything, or what is around the mask. Of a picture one pixel of the object is enough; a network for scans sees some thousand
     /// points, spread evenly, and one of these has to be inside. `None` = anywhere on the object.
     pub region: Option<Vec<bool>>,
     /// Whether hands are left out that have no room: those that would overlap something a scan or a depth map shows, with palm

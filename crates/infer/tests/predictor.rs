@@ -220,58 +220,68 @@ fn a_close_look_at_a_mask_is_a_look_at_what_was_cut_out() {
     let network = Network::new(&config, Seed(7), &burn::tensor::Device::flex());
     let predictor =
         Predictor::from_weights(Weights { network, sha256: "0".repeat(64) }, Backend::Fast).unwrap();
-    // 40 x 24 pixels with their corner at (100, 50), in the middle of 60 x 60 with theirs at (90, 32).
-    let (left, top, side) = (90, 32, 60);
     let Observation::Image { size, rgb: Some(rgb), .. } = picture(200, 150) else { unreachable!() };
-    let on = |u: usize, v: usize| (100..140).contains(&u) && (50..74).contains(&v);
-    let cut = |i: usize| (left + i % side, top + i / side);
-    let image = |size: ImageSize, rgb: Vec<[u8; 3]>, mask: Vec<bool>, cx: f32, cy: f32| Observation::Image {
-        depth: Some(vec![2.0; size.pixels()]),
-        intrinsics: Some(Intrinsics { fx: 300.0, fy: 300.0, cx, cy }),
-        size,
-        rgb: Some(rgb),
-        mask: Some(mask),
-    };
-    let inner: Vec<_> = (0..side * side).map(cut).collect();
-    let small = image(
-        ImageSize::square(side),
-        inner.iter().map(|&(u, v)| rgb[v * 200 + u]).collect(),
-        inner.iter().map(|&(u, v)| on(u, v)).collect(),
-        100.0 - left as f32,
-        75.0 - top as f32,
-    );
-    let mask = (0..size.pixels()).map(|i| on(i % 200, i / 200)).collect();
-    let large = image(size, rgb, mask, 100.0, 75.0);
-    let options = Options { clearance: false, ..Options::default() };
-    let [close, expected] = [&large, &small].map(|seen| predictor.predict_dense(seen, &options).unwrap());
-    for (close, expected) in close.prediction.primitives.iter().zip(&expected.prediction.primitives) {
-        assert!(!close.proposals.is_empty());
-        assert_eq!(close.actionability, expected.actionability);
-        for (close, expected) in close.proposals.iter().zip(&expected.proposals) {
-            let Pixel { u, v } = expected.pixel;
-            assert_eq!(close.pixel, Pixel { u: u + left as u32, v: v + top as u32 });
-            assert_eq!((close.score, close.rotation), (expected.score, expected.rotation));
+    // A part of the picture with its own part of the mask, seen by the same camera.
+    let view = |[left, top, right, bottom]: [usize; 4], on: &dyn Fn(usize, usize) -> bool| {
+        let part = ImageSize { width: right - left, height: bottom - top };
+        let at = |i: usize| (left + i % part.width, top + i / part.width);
+        let (cx, cy) = (100.0 - left as f32, 75.0 - top as f32);
+        Observation::Image {
+            size: part,
+            rgb: Some((0..part.pixels()).map(at).map(|(u, v)| rgb[v * size.width + u]).collect()),
+            depth: Some(vec![2.0; part.pixels()]),
+            intrinsics: Some(Intrinsics { fx: 300.0, fy: 300.0, cx, cy }),
+            mask: Some((0..part.pixels()).map(at).map(|(u, v)| on(u, v)).collect()),
         }
-    }
-    for (u, v) in [(100, 50), (120, 60), (139, 73)] {
-        let at = |output: &Output<'_>, u: usize, v: usize| {
-            output.maps.at(Primitive::Pulling, u as f32 + 0.25, v as f32 + 0.75).unwrap()
-        };
-        let (found, wanted) = (at(&close, u, v), at(&expected, u - left, v - top));
-        assert!((found - wanted).abs() < 1e-5, "{found} {wanted}");
-    }
-    assert_eq!(close.maps.at(Primitive::Pulling, 95.0, 60.0), None);
-    // Hands of one's own, and the pixel that one asks about, are found there too.
-    let proposal = &close.prediction.primitives[0].proposals[0];
-    let hand = Grasp {
-        point: Point3::new(0.1, -0.1, 2.0),
-        rotation: nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), 0.3),
     };
-    let score = |seen| predictor.score(seen, &[(Primitive::Pushing, hand)], &options).unwrap()[0].unwrap();
-    assert_eq!(score(&large), score(&small));
-    let pixel = proposal.pixel;
-    let asked = predictor.predict(&large, &Options { pixel: Some(pixel), ..options.clone() }).unwrap();
-    assert_eq!(asked.primitives[0].proposals[0].pixel, pixel);
+    let options = Options { clearance: false, ..Options::default() };
+    for (object, window) in [
+        ([100, 50, 140, 74], [90, 32, 150, 92]),
+        // At the right edge, in a corner, and wider than high: what is shown of the squares is no square.
+        ([180, 60, 200, 100], [160, 50, 200, 110]),
+        ([0, 0, 40, 21], [0, 0, 50, 41]),
+        ([20, 100, 160, 140], [0, 15, 195, 150]),
+        ([70, 71, 71, 72], [70, 71, 72, 73]),
+    ] {
+        let [left, top, right, bottom] = object;
+        let on = move |u: usize, v: usize| (left..right).contains(&u) && (top..bottom).contains(&v);
+        let (large, small) = (view([0, 0, 200, 150], &on), view(window, &on));
+        let [close, cut_out] = [&large, &small].map(|seen| predictor.predict_dense(seen, &options).unwrap());
+        let moved = |pixel: Pixel| Pixel { u: pixel.u + window[0] as u32, v: pixel.v + window[1] as u32 };
+        for (found, expected) in close.prediction.primitives.iter().zip(&cut_out.prediction.primitives) {
+            assert!(!found.proposals.is_empty());
+            assert_eq!(found.actionability, expected.actionability, "{object:?}");
+            assert_eq!(found.proposals.len(), expected.proposals.len());
+            for (found, expected) in found.proposals.iter().zip(&expected.proposals) {
+                assert_eq!(found.pixel, moved(expected.pixel));
+                assert_eq!((found.score, found.rotation), (expected.score, expected.rotation));
+            }
+        }
+        for (u, v) in [(left, top), ((left + right) / 2, (top + bottom) / 2), (right - 1, bottom - 1)] {
+            let at = |output: &Output<'_>, u: usize, v: usize| {
+                output.maps.at(Primitive::Pulling, u as f32 + 0.25, v as f32 + 0.75).unwrap()
+            };
+            let (found, expected) = (at(&close, u, v), at(&cut_out, u - window[0], v - window[1]));
+            assert!((found - expected).abs() < 1e-5, "{object:?}: {found} {expected}");
+        }
+        // What is asked about is found there too: a pixel, and a hand of the caller's own.
+        let pixel = cut_out.prediction.primitives[0].proposals[0].pixel;
+        let ask = |seen, pixel| {
+            let options = Options { pixel: Some(pixel), ..options.clone() };
+            predictor.predict(seen, &options).unwrap().primitives.swap_remove(0)
+        };
+        let (found, expected) = (ask(&large, moved(pixel)), ask(&small, pixel));
+        assert_eq!(found.actionability, expected.actionability);
+        assert_eq!(found.proposals[0].rotation, expected.proposals[0].rotation);
+        let hand = Grasp {
+            point: Point3::from(close.prediction.primitives[0].proposals[0].point.unwrap()),
+            rotation: nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), 0.3),
+        };
+        let score =
+            |seen| predictor.score(seen, &[(Primitive::Pushing, hand)], &options).unwrap()[0].unwrap();
+        let (found, expected) = (score(&large), score(&small));
+        assert!((found - expected).abs() < 1e-4, "{object:?}: {found} {expected}");
+    }
 }
 
 #[test]

@@ -14,7 +14,7 @@ pub enum Modality {
     Cloud,
 }
 
-/// Numbers of the preprocessing, the same in training and prediction.
+/// Numbers of the preprocessing, the same in training and prediction, where alone there are masks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Preprocessing {
@@ -27,7 +27,7 @@ pub struct Preprocessing {
     /// Whether pixels outside a mask, and the bars of the letterbox, are painted white as in the published pictures.
     pub white_background: bool,
     /// If there is a mask, the network sees the square around it, larger than the mask's larger extent by this factor, and not the
-    /// whole picture. The published network always sees that.
+    /// whole picture. The published network always sees the whole one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub close_up: Option<f32>,
     /// Random foreground points that furthest point sampling chooses from. Published: 30,000.

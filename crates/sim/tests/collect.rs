@@ -162,7 +162,7 @@ fn a_full_disk_is_told_and_what_was_written_stays() {
 #[test]
 fn scenes_are_made_again_from_their_info() {
     let folder = tempfile::tempdir().unwrap();
-    assert!(run(folder.path(), &["--randomise", "--wide", "--close", "0.5"]).status.success());
+    assert!(run(folder.path(), &["--randomise", "--wide", "--close", "1"]).status.success());
     let manifest = Manifest::load(folder.path()).unwrap();
     let recipe: Recipe = serde_json::from_value(manifest.recipe).unwrap();
     let preparer = Preparer::new(recipe);
@@ -172,6 +172,11 @@ fn scenes_are_made_again_from_their_info() {
             let record = shard.record(scene).unwrap();
             let again = preparer.restore(&record.info).unwrap();
             assert!(again.record(record.trials.clone()) == record, "scene {}", record.info.index);
+            // The camera zoomed in.
+            let (columns, rows): (Vec<_>, Vec<_>) =
+                record.foreground().iter().map(|(pixel, _)| (pixel.u, pixel.v)).unzip();
+            let extent = |of: &[u32]| of.iter().max().unwrap() - of.iter().min().unwrap();
+            assert!((240..430).contains(&extent(&columns).max(extent(&rows))), "scene {}", record.info.index);
             assert_eq!(record.trials.len(), 3);
         }
     }

@@ -29,7 +29,9 @@ pub(super) fn refuse_other(path: &Path, found: &Manifest, expected: &Manifest) -
 fn complete(recipe: &Value) -> Value {
     let mut recipe = recipe.clone();
     if let Some(fields) = recipe.as_object_mut() {
-        fields.entry("varied").or_insert(Value::from(0.0));
+        for share in ["varied", "close"] {
+            fields.entry(share).or_insert(Value::from(0.0));
+        }
     }
     if let Some(Value::String(root)) = recipe.pointer_mut("/objects/folder/root")
         && let Ok(whole) = Path::new(root.as_str()).canonicalize()
@@ -96,6 +98,8 @@ mod tests {
         let other_scenes = Manifest { scenes: 5, ..ours.clone() };
         let mut varied = ours.clone();
         varied.recipe["varied"] = Value::from(1.0);
+        let mut close = ours.clone();
+        close.recipe["close"] = Value::from(1.0);
         for (found, difference) in [
             (
                 manifest(&set(20, "Box/x"), 0.5),
@@ -106,6 +110,7 @@ mod tests {
             (manifest(&set(20, "Box/17"), 0.25), "recipe.guided 0.25, expected 0.5"),
             (other_scenes, "scenes 5, expected 4"),
             (varied, "recipe.varied 1.0, expected 0.0"),
+            (close, "recipe.close 1.0, expected 0.0"),
         ] {
             let error = refuse_other(Path::new("m"), &found, &ours).expect_err(difference).to_string();
             assert_eq!(error, format!("m: made with {difference}"));

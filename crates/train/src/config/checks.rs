@@ -69,6 +69,8 @@ impl TrainConfig {
     pub fn validate(&self) -> Result<(), ConfigError> {
         self.model().validate()?;
         check(!self.name.is_empty(), "name", "\"\"", "at least one letter")?;
+        let sees = self.network.close_up.is_none() || self.network.modality == Modality::Rgb;
+        check(sees, "network.close_up", "a margin", "none, as it is for pictures")?;
         self.check_encoder()?;
         self.check_teacher()?;
         self.check_batch()?;
@@ -182,6 +184,7 @@ mod tests {
             ("look_steps = 3\n", "schedule.look_steps"),
             ("[collect]\nguided = 2.0\n", "collect.guided"),
             ("[collect]\nclose = -0.5\n", "collect.close"),
+            ("[network]\nclose_up = 1.1\n", "network.close_up"),
             ("[batch]\nflipped = 3.0\n", "batch.flipped"),
             ("look_steps = 3\n[loss]\nnormal = 1.0\n[batch]\nlooks_per_view = 0\n", "batch.looks_per_view"),
             ("weight_decay = -1.0\n", "schedule.weight_decay"),

@@ -98,7 +98,8 @@ pub struct NetworkConfig {
     #[serde(default)]
     pub second_look: bool,
     /// If a picture comes with a mask, the network is shown the square around it, larger than the mask's larger extent by this
-    /// factor; training shows whole pictures, those of `collect --close` being such squares. The paper's shows whole ones.
+    /// factor, where it is asked for proposals. Training and validation show pictures as they were collected, whole; those of
+    /// `collect --close` are such squares, 1.05 to 1.79 times as large as the object. The paper's network sees whole pictures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub close_up: Option<f32>,
     /// How much it matters to a score whether the joint gives where the hand wants to go, in logits, if the features are
@@ -281,7 +282,8 @@ pub struct CollectConfig {
     pub guided: f32,
     /// Random lights, materials, backgrounds and cameras.
     pub randomise: bool,
-    /// Share of the scenes whose camera zooms in on the object, for `network.close_up`.
+    /// Share of the scenes, with trials and without, whose camera zooms in on the object, for `network.close_up`.
+    #[serde(skip_serializing_if = "is_zero")]
     pub close: f32,
 }
 

@@ -61,7 +61,8 @@ pub(crate) struct Args {
     /// Picture whose bright pixels are the object. Default: what is not transparent, if the input is a cut-out.
     #[arg(long, value_name = "F")]
     pub(crate) mask: Option<PathBuf>,
-    /// Rectangle around the object, pixels of the input: a mask that takes no drawing.
+    /// Rectangle around the object instead of a mask, pixels of the picture as it is shown, upright. What is outside is painted
+    /// white, what else is inside is taken for the object.
     #[arg(
         long = "box",
         value_name = "LEFT,TOP,WIDTH,HEIGHT",
@@ -69,7 +70,7 @@ pub(crate) struct Args {
         allow_hyphen_values = true,
         conflicts_with = "mask"
     )]
-    rectangle: Vec<u32>,
+    rectangle: Vec<i64>,
     /// Primitive to predict; several times for several. Default: all.
     #[arg(long = "primitive", value_name = "P")]
     primitives: Vec<Primitive>,
@@ -233,7 +234,7 @@ impl Args {
     }
 
     /// The rectangle around the object: left, top, width and height.
-    pub(crate) fn rectangle(&self) -> Option<[u32; 4]> {
+    pub(crate) fn rectangle(&self) -> Option<[i64; 4]> {
         self.rectangle.as_slice().try_into().ok()
     }
 

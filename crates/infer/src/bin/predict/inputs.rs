@@ -126,7 +126,7 @@ impl Input {
                     rgb: Some(picture.rgb),
                     depth,
                     intrinsics,
-                    mask: mask(args, size)?.or(picture.opaque),
+                    mask: mask_of(mask(args, size)?, picture.opaque, args),
                 })
             }
             FileKind::Depth => {
@@ -186,19 +186,29 @@ fn mask(args: &Args, size: ImageSize) -> Result<Option<Vec<bool>>> {
     Ok(Some(mask))
 }
 
-/// The mask of a rectangle, which may reach beyond the picture.
-fn inside([left, top, width, height]: [u32; 4], size: ImageSize) -> Result<Vec<bool>> {
-    let within =
-        |first: u32, length: u32, at: usize| at >= first as usize && at - (first as usize) < length as usize;
-    let at = |i: usize| within(left, width, i % size.width) && within(top, height, i / size.width);
-    let mask: Vec<bool> = (0..size.pixels()).map(at).collect();
-    if !mask.contains(&true) {
-        let ImageSize { width: columns, height: rows } = size;
-        bail!(
-            "--box: expected a rectangle in {columns} x {rows} pixels, found {left},{top},{width},{height}"
-        );
+/// A mask that is given replaces that of a cut-out; a rectangle keeps to it.
+fn mask_of(given: Option<Vec<bool>>, opaque: Option<Vec<bool>>, args: &Args) -> Option<Vec<bool>> {
+    match (given, opaque) {
+        (Some(given), Some(opaque)) if args.rectangle().is_some() => {
+            Some(given.iter().zip(opaque).map(|(given, opaque)| *given && opaque).collect())
+        }
+        (given, opaque) => given.or(opaque),
     }
-    Ok(mask)
+}
+
+/// The mask of a rectangle, as much of it as lies in the picture.
+fn inside([left, top, width, height]: [i64; 4], size: ImageSize) -> Result<Vec<bool>> {
+    let along = |first: i64, length: i64, whole: usize| {
+        let inside = |at: i64| usize::try_from(at).unwrap_or(0).min(whole);
+        inside(first)..inside(first.saturating_add(length))
+    };
+    let (columns, rows) = (along(left, width, size.width), along(top, height, size.height));
+    if columns.is_empty() || rows.is_empty() {
+        let ImageSize { width: w, height: h } = size;
+        bail!("--box: expected a rectangle in {w} x {h} pixels, found {left},{top},{width},{height}");
+    }
+    let at = |i: usize| columns.contains(&(i % size.width)) && rows.contains(&(i / size.width));
+    Ok((0..size.pixels()).map(at).collect())
 }
 
 fn same_size(flag: &str, path: &Path, found: ImageSize, expected: ImageSize) -> Result<()> {
