@@ -85,6 +85,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             surroundings: true,
             second_look: true,
             ways: Some(2.0),
+            close_up: None,
             alignments: 0,
         },
         batch: BatchConfig { views: 2, trials_per_view: 16, ..BatchConfig::default() },

@@ -38,6 +38,7 @@ fn config(modality: Modality) -> TrainConfig {
             alignments: 3,
             second_look: true,
             ways: Some(2.0),
+            close_up: None,
         },
         batch: BatchConfig {
             views: 2,

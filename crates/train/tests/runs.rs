@@ -45,6 +45,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             alignments: 2,
             second_look: true,
             ways: Some(2.0),
+            close_up: None,
             candidates: 256,
         },
         batch: BatchConfig {
