@@ -184,7 +184,6 @@ mod tests {
             ("look_steps = 3\n", "schedule.look_steps"),
             ("[collect]\nguided = 2.0\n", "collect.guided"),
             ("[collect]\nclose = -0.5\n", "collect.close"),
-            ("[network]\nclose_up = 1.1\n", "network.close_up"),
             ("[batch]\nflipped = 3.0\n", "batch.flipped"),
             ("look_steps = 3\n[loss]\nnormal = 1.0\n[batch]\nlooks_per_view = 0\n", "batch.looks_per_view"),
             ("weight_decay = -1.0\n", "schedule.weight_decay"),
@@ -198,5 +197,8 @@ mod tests {
             let error = load(&(minimal() + extra)).unwrap_err().to_string();
             assert!(error.contains(named) && !error.contains('\n'), "{error}");
         }
+        let close_up_of_scans = minimal().replace("[network]\n", "[network]\nclose_up = 1.1\n");
+        let error = load(&close_up_of_scans).unwrap_err().to_string();
+        assert!(error.contains("network.close_up"), "{error}");
     }
 }

@@ -512,7 +512,8 @@ mod tests {
                 "where2act-cloud",
                 "where2act-cloud",
                 "where2act-cloud",
-                "where2act-rgb"
+                "where2act-rgb",
+                "where2act-rgb-close"
             ]
         );
     }
