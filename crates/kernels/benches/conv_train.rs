@@ -29,7 +29,7 @@ fn convolutions(c: &mut Criterion) {
             (vec![0.5; shape.input_len()], vec![0.1; shape.weight_len()], vec![0.2; shape.output_len()]);
         let mut group = c.benchmark_group(format!("{inputs}x{side}x{side} to {outputs}, {kernel}/{stride}"));
         group.throughput(Throughput::Elements((shape.output_len() * inputs * kernel * kernel) as u64));
-        for isa in Isa::available() {
+        for isa in Isa::available().into_iter().chain(Isa::bf16()) {
             let parts = [Part { planes: &x, channels: inputs, doubled: false }];
             group.bench_function(format!("forward, {}", isa.name()), |b| {
                 b.iter(|| forward(isa, &shape, black_box(&parts), &w, None));

@@ -16,6 +16,11 @@ fn noise(len: usize, seed: u64) -> Vec<f32> {
     (0..len).map(|_| next()).collect()
 }
 
+/// Every instruction set, products in bf16 included.
+fn every_isa() -> impl Iterator<Item = Isa> {
+    Isa::available().into_iter().chain(Isa::bf16())
+}
+
 /// Calls `f(output index, input index, weight index)` for every product of the convolution.
 fn products(s: &ConvShape, mut f: impl FnMut(usize, usize, usize)) {
     let (oh, ow, k) = (s.out_height(), s.out_width(), s.kernel);
@@ -53,9 +58,11 @@ fn close(
 ) -> Result<(), TestCaseError> {
     prop_assert_eq!(found.len(), expected.len());
     let scale = expected.iter().fold((products as f64).sqrt().max(1.0), |m: f64, v| m.max(v.abs()));
+    // bf16 rounds both operands by up to 2^-9.
+    let tolerance = if isa == isa.exact() { 1e-5 } else { 8e-3 };
     for (i, (a, b)) in found.iter().zip(expected).enumerate() {
         prop_assert!(
-            (f64::from(*a) - b).abs() <= 1e-5 * scale,
+            (f64::from(*a) - b).abs() <= tolerance * scale,
             "{name} on {}, value {i}: {a}, expected {b}",
             isa.name()
         );
@@ -78,7 +85,7 @@ fn check(shape: ConvShape, seed: u64) -> Result<(), TestCaseError> {
     dy.iter().enumerate().for_each(|(i, dy)| db[i / pixels % shape.outputs] += f64::from(*dy));
     let fails = |error| TestCaseError::fail(format!("{error}"));
     let window = shape.kernel * shape.kernel;
-    for isa in Isa::available() {
+    for isa in every_isa() {
         let parts = [Part { planes: &x, channels: shape.inputs, doubled: false }];
         close(
             "forward",
@@ -189,7 +196,7 @@ fn parts_equal_their_concatenation() {
             Part { planes: &same, channels: skip, doubled: false },
         ];
         let one = [Part { planes: &whole, channels: up + skip, doubled: false }];
-        for isa in Isa::available() {
+        for isa in every_isa() {
             assert_eq!(forward(isa, &shape, &parts, &w, None), forward(isa, &shape, &one, &w, None));
             assert_eq!(weight_gradient(isa, &shape, &parts, &dy), weight_gradient(isa, &shape, &one, &dy));
         }
@@ -213,6 +220,38 @@ fn upsampling_gradient_sums_two_by_two() {
     for (a, b) in sums.iter().zip(&expected) {
         assert!((a - b).abs() < 1e-6);
     }
+}
+
+/// Whole numbers that bf16 holds and whose sums f32 holds: nothing may differ.
+#[test]
+fn bf16_rounds_nothing_but_the_operands() {
+    let Some(isa) = Isa::bf16() else { return };
+    for (inputs, kernel, stride) in [(5, 3, 1), (6, 3, 2), (3, 7, 2), (1, 1, 1)] {
+        let shape = ConvShape {
+            batch: 2,
+            inputs,
+            height: 21,
+            width: 34,
+            outputs: 11,
+            kernel,
+            stride,
+            padding: kernel / 2,
+        };
+        let whole = |len, seed| noise(len, seed).into_iter().map(|x| (x * 3.0).round()).collect::<Vec<f32>>();
+        let (x, w, dy) =
+            (whole(shape.input_len(), 1), whole(shape.weight_len(), 2), whole(shape.output_len(), 3));
+        let parts = [Part { planes: &x, channels: inputs, doubled: false }];
+        let exact = isa.exact();
+        assert_eq!(forward(isa, &shape, &parts, &w, None), forward(exact, &shape, &parts, &w, None));
+        assert_eq!(input_gradient(isa, &shape, &dy, &w), input_gradient(exact, &shape, &dy, &w));
+        assert_eq!(weight_gradient(isa, &shape, &parts, &dy), weight_gradient(exact, &shape, &parts, &dy));
+    }
+    // And it does round.
+    let shape =
+        ConvShape { batch: 1, inputs: 2, height: 4, width: 4, outputs: 1, kernel: 1, stride: 1, padding: 0 };
+    let (x, w) = (noise(shape.input_len(), 1), noise(shape.weight_len(), 2));
+    let parts = [Part { planes: &x, channels: 2, doubled: false }];
+    assert_ne!(forward(isa, &shape, &parts, &w, None), forward(isa.exact(), &shape, &parts, &w, None));
 }
 
 #[test]
@@ -240,7 +279,7 @@ fn threads_do_not_change_a_bit() {
             )
         })
     };
-    for isa in Isa::available() {
+    for isa in every_isa() {
         let one = run(isa, 1);
         for threads in [2, 3, 7] {
             assert_eq!(run(isa, threads), one, "{threads} threads on {}", isa.name());

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::micro::Accumulate;
+use super::operands;
 use super::planes::{Layout, Source, Tap};
 use super::sweep::{Output, Pass, pack_weights, sweep};
 use super::{CHANNELS, ConvShape, Part, check_parts};
@@ -55,10 +56,9 @@ pub fn input_gradient(
                 weights.push(y * k + x);
             }
         }
-        let n = taps.len();
-        let offsets = layout.offsets(shape.outputs, &taps);
-        let weights = pack_weights(shape.inputs, offsets.len(), |i, at| {
-            weight[(at / n * shape.inputs + i) * k * k + weights[at % n]]
+        let offsets = layout.offsets(operands::groups(isa, shape.outputs), &taps);
+        let weights = pack_weights(isa, [shape.inputs, shape.outputs, taps.len()], |i, o, tap| {
+            weight[(o * shape.inputs + i) * k * k + weights[tap]]
         });
         passes.push(Pass { offsets, weights, phase });
     }
@@ -90,10 +90,11 @@ pub fn weight_gradient(
     let packed = layout.scratch_len(shape.inputs);
     gradient.par_chunks_mut(share * per_block).enumerate().for_each(|(thread, gradient)| {
         for portion in (0..layout.portions()).map(|i| layout.portion(i)) {
-            let positions = layout.positions(portion).next_multiple_of(16);
+            let positions = layout.positions(portion).next_multiple_of(16 * isa.operands());
             with_scratch(packed + CHANNELS * positions, |scratch| {
                 let (x, rows) = scratch.split_at_mut(packed);
                 layout.fill(&source, portion, x);
+                operands::pack_positions(isa, x);
                 for (block, gradient) in gradient.chunks_mut(per_block).enumerate() {
                     rows.fill(0.0);
                     let first = (thread * share + block) * CHANNELS;
@@ -108,7 +109,8 @@ pub fn weight_gradient(
                             }
                         }
                     }
-                    Accumulate { x, offsets: &offsets, dy: rows, gradient }.run_on(isa);
+                    operands::pack_positions(isa, rows);
+                    Accumulate { x, offsets: &offsets, dy: rows, positions, gradient }.run_on(isa);
                 }
             });
         }

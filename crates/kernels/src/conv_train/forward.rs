@@ -1,5 +1,6 @@
 //! Convolution.
 
+use super::operands;
 use super::planes::{Layout, Source, Tap};
 use super::sweep::{Output, Pass, pack_weights, sweep};
 use super::{ConvShape, Part, check_parts};
@@ -56,9 +57,11 @@ pub fn forward(
     ShapeError::check("biases", shape.outputs, bias.map_or(shape.outputs, <[f32]>::len))?;
     let source = shape.source(parts);
     let layout = shape.layout(&source, POSITIONS);
-    let offsets = layout.offsets(shape.inputs, &shape.taps());
-    let taps = offsets.len();
-    let weights = pack_weights(shape.outputs, taps, |o, k| weight[o * taps + k]);
+    let taps = shape.taps();
+    let offsets = layout.offsets(operands::groups(isa, shape.inputs), &taps);
+    let weights = pack_weights(isa, [shape.outputs, shape.inputs, taps.len()], |o, i, tap| {
+        weight[(o * shape.inputs + i) * taps.len() + tap]
+    });
     let pass = Pass { offsets, weights, phase: [0, 0] };
     let output = Output {
         channels: shape.outputs,

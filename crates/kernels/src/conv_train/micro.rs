@@ -1,11 +1,12 @@
-//! The two inner loops, and the only pointer arithmetic of the training convolutions.
+//! The two inner loops. Theirs, and that of `operands`, is the only pointer arithmetic of the training convolutions.
 
 use super::CHANNELS;
 use crate::Isa;
 use crate::simd::{Kernel, Vector};
 
 /// Computes [`CHANNELS`] output channels at `positions` positions:
-/// `out[o][p] = bias[o] + sum over k of weights[k][o] * x[p + offsets[k]]`.
+/// `out[o][p] = bias[o] + sum over k of weights[k][o] * x[p + offsets[k]]`, where `x` and `weights` hold as many operands in the
+/// place of a value as the instruction set multiplies at once (see `operands`).
 pub(super) struct Correlate<'a> {
     pub(super) x: &'a [f32],
     pub(super) offsets: &'a [u32],
@@ -74,7 +75,7 @@ unsafe fn correlate<V: Vector, const N: usize>(
             for (o, sums) in sums.iter_mut().enumerate() {
                 let weight = V::splat(*weights.add(o));
                 for (sum, x) in sums.iter_mut().zip(x) {
-                    *sum = x.fma(weight, *sum);
+                    *sum = x.multiply_add(weight, *sum);
                 }
             }
             weights = weights.add(CHANNELS);
@@ -88,25 +89,23 @@ unsafe fn correlate<V: Vector, const N: usize>(
 }
 
 /// Adds to the weight gradient of up to [`CHANNELS`] output channels:
-/// `gradient[o][k] += sum over p of dy[o][p] * x[p + offsets[k]]`.
+/// `gradient[o][k] += sum over p of dy[o][p] * x[p + offsets[k]]`, where `x` and `dy` are operands one after the other.
 pub(super) struct Accumulate<'a> {
     pub(super) x: &'a [f32],
     pub(super) offsets: &'a [u32],
-    /// `[CHANNELS, positions]`, a multiple of 16 positions, zero where a position is no output.
+    /// `[CHANNELS, positions]`, whole vectors of operands, zero where a position is no output.
     pub(super) dy: &'a [f32],
+    pub(super) positions: usize,
     /// `[at most CHANNELS, offsets.len()]`
     pub(super) gradient: &'a mut [f32],
 }
 
 impl Accumulate<'_> {
     pub(super) fn run_on(self, isa: Isa) {
-        let positions = self.dy.len() / CHANNELS;
         let furthest = self.offsets.iter().max().map_or(0, |&offset| offset as usize);
-        assert!(
-            positions.is_multiple_of(16) && self.dy.len().is_multiple_of(CHANNELS),
-            "whole vectors of positions"
-        );
-        assert!(furthest + positions <= self.x.len(), "windows stay in the scratch");
+        assert!(self.positions.is_multiple_of(16 * isa.operands()), "whole vectors of positions");
+        assert!(CHANNELS * self.positions <= self.dy.len() * isa.operands(), "rows of all channels");
+        assert!(furthest + self.positions <= self.x.len() * isa.operands(), "windows stay in the scratch");
         assert!(self.gradient.len() <= CHANNELS * self.offsets.len());
         // SAFETY: the checks above are what `Kernel::run` below relies on.
         unsafe { isa.run(self) }
@@ -116,8 +115,7 @@ impl Accumulate<'_> {
 impl Kernel for Accumulate<'_> {
     #[inline(always)]
     unsafe fn run<V: Vector>(self) {
-        let taps = self.offsets.len();
-        let positions = self.dy.len() / CHANNELS;
+        let (taps, positions) = (self.offsets.len(), self.positions);
         let together = if V::LANES == 16 { 3 } else { 1 };
         let mut k = 0;
         while k < taps {
@@ -146,7 +144,7 @@ impl Kernel for Accumulate<'_> {
 /// Dot products of [`CHANNELS`] rows of `dy` with `x` at `N` offsets.
 ///
 /// # Safety
-/// Readable: `positions` values (a multiple of 16) at every offset of `x` and in each row of `dy`.
+/// Readable: `positions` operands (whole vectors) at every offset of `x` and in each row of `dy`.
 #[inline(always)]
 unsafe fn dot<V: Vector, const N: usize>(
     dy: *const f32,
@@ -156,18 +154,15 @@ unsafe fn dot<V: Vector, const N: usize>(
 ) -> [[f32; CHANNELS]; N] {
     // SAFETY: as promised by the caller.
     unsafe {
-        let x = offsets.map(|offset| x.add(offset as usize));
         let mut sums = [[V::splat(0.0); N]; CHANNELS];
-        let mut at = 0;
-        while at < positions {
-            let x = x.map(|x| V::load(x.add(at)));
+        for at in (0..positions).step_by(V::LANES * V::OPERANDS) {
+            let x = offsets.map(|offset| V::load_operands(x, offset as usize + at));
             for (o, sums) in sums.iter_mut().enumerate() {
-                let dy = V::load(dy.add(o * positions + at));
+                let dy = V::load_operands(dy, o * positions + at);
                 for (sum, x) in sums.iter_mut().zip(x) {
-                    *sum = x.fma(dy, *sum);
+                    *sum = x.multiply_add(dy, *sum);
                 }
             }
-            at += V::LANES;
         }
         std::array::from_fn(|tap| std::array::from_fn(|o| sums[o][tap].sum()))
     }

@@ -3,11 +3,12 @@
 //!
 //! Rows are copied once, zero-padded, into a scratch that fits the second-level cache and is then one long row of
 //! positions; a table of offsets, one for each (input channel, tap), turns any kernel size and stride into the same inner
-//! loop over positions (`micro`). Which thread does what never changes a sum: results are the same bits for any number.
+//! loop over positions (`micro`), in bf16 after one more pass over the scratch (`operands`). Which thread does what never changes a sum: results are the same bits for any number.
 
 mod backward;
 mod forward;
 mod micro;
+mod operands;
 mod planes;
 mod sweep;
 

@@ -124,7 +124,12 @@ impl Layout {
 
     /// Values of the scratch.
     pub(super) fn scratch_len(&self, channels: usize) -> usize {
-        channels * self.stride * self.stride * self.plane
+        channels * self.channel_len()
+    }
+
+    /// Values of a channel in the scratch, a multiple of 16.
+    pub(super) fn channel_len(&self) -> usize {
+        self.stride * self.stride * self.plane
     }
 
     /// For every channel and tap the offset from an output's position to the source value it needs.

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use super::CHANNELS;
 use super::micro::Correlate;
+use super::operands;
 use super::planes::{Layout, Portion, Source};
 use crate::Isa;
 use crate::parallel::{Shared, with_scratch};
@@ -26,13 +27,21 @@ pub(super) struct Output<'a> {
     pub(super) bias: Option<&'a [f32]>,
 }
 
-/// Weights in the order of the inner loop: blocks of [`CHANNELS`] outputs, then offsets, then the outputs of the block.
-pub(super) fn pack_weights(outputs: usize, offsets: usize, weight: impl Fn(usize, usize) -> f32) -> Vec<f32> {
+/// Weights in the order of the inner loop: blocks of [`CHANNELS`] outputs, then offsets, that is groups of input channels and
+/// taps, then the outputs of the block. `weight` is asked for output, input channel and tap.
+pub(super) fn pack_weights(
+    isa: Isa,
+    [outputs, channels, taps]: [usize; 3],
+    weight: impl Fn(usize, usize, usize) -> f32,
+) -> Vec<f32> {
+    let offsets = operands::groups(isa, channels) * taps;
     let mut packed = vec![0.0; outputs.div_ceil(CHANNELS) * offsets * CHANNELS];
     for (i, packed) in packed.iter_mut().enumerate() {
         let (o, k) = (i / CHANNELS / offsets * CHANNELS + i % CHANNELS, i / CHANNELS % offsets);
+        let (channel, tap) = (k / taps * isa.operands(), k % taps);
         if o < outputs {
-            *packed = weight(o, k);
+            let next = || if channel + 1 < channels { weight(o, channel + 1, tap) } else { 0.0 };
+            *packed = operands::weights(isa, weight(o, channel, tap), next);
         }
     }
     packed
@@ -65,6 +74,7 @@ pub(super) fn sweep(
         with_scratch(packed + CHANNELS * pitch, |scratch| {
             let (x, rows) = scratch.split_at_mut(packed);
             layout.fill(source, portion, x);
+            operands::pack_channels(isa, x, layout.channel_len());
             for pass in passes {
                 for block in channels.clone() {
                     let first = block * CHANNELS;

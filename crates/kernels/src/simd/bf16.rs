@@ -24,6 +24,7 @@ pub(super) unsafe fn run<K: Kernel>(kernel: K) {
 // pointers are the caller's promise. Vectors are transmuted to others of their size, for which all bits are valid.
 impl Vector for Bf16x32 {
     const LANES: usize = F32x16::LANES;
+    const OPERANDS: usize = 2;
     const ROWS: usize = F32x16::ROWS;
 
     #[inline(always)]
@@ -47,6 +48,21 @@ impl Vector for Bf16x32 {
         unsafe {
             let halves = std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(self.0.0));
             _mm256_storeu_si256(to.cast(), halves);
+        }
+    }
+    #[inline(always)]
+    unsafe fn load_operands(from: *const f32, first: usize) -> Self {
+        unsafe { Self::load(from.cast::<u16>().add(first).cast()) }
+    }
+    #[inline(always)]
+    fn with_next(self, next: Self) -> Self {
+        unsafe {
+            let lane = |v: Self| {
+                let halves = std::mem::transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(v.0.0));
+                _mm512_cvtepu16_epi32(halves)
+            };
+            let both = _mm512_or_si512(lane(self), _mm512_slli_epi32::<16>(lane(next)));
+            Self(F32x16(_mm512_castsi512_ps(both)))
         }
     }
     #[inline(always)]

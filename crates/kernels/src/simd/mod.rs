@@ -22,6 +22,8 @@ use crate::isa::{Isa, Level};
 pub(crate) trait Vector: Copy {
     /// Lanes of the vector; divides 16.
     const LANES: usize;
+    /// Operands of a product in a lane.
+    const OPERANDS: usize = 1;
     /// Rows of the matrix-product micro-kernel: rows x 2 vectors of accumulators fill the registers.
     const ROWS: usize;
 
@@ -49,6 +51,20 @@ pub(crate) trait Vector: Copy {
     unsafe fn store_operands(self, to: *mut f32) {
         // SAFETY: the caller's promise.
         unsafe { self.store(to) }
+    }
+    /// Loads operands that lie one after the other, from number `first` on.
+    ///
+    /// # Safety
+    /// As [`Vector::load`], for `LANES * OPERANDS` of them.
+    #[inline(always)]
+    unsafe fn load_operands(from: *const f32, first: usize) -> Self {
+        // SAFETY: the caller's promise.
+        unsafe { Self::load(from.add(first)) }
+    }
+    /// The operands of each lane: of `self` and, where a lane has two, of `next`.
+    #[inline(always)]
+    fn with_next(self, _next: Self) -> Self {
+        self
     }
     /// `c` plus the products of the operands in each lane.
     #[inline(always)]
