@@ -96,6 +96,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             epoch_steps: 3,
             mean_steps: 0,
             optimiser: Default::default(),
+            precision: Default::default(),
             rate: 1e-3,
             trial_rate: None,
             weight_decay: 1e-5,

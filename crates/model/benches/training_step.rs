@@ -1,5 +1,5 @@
-//! A whole training step (forward, backward, Adam): our kernels against burn's operations, in alternating blocks of one
-//! run, in wall-clock and processor time.
+//! A whole training step (forward, backward, Adam): our kernels, in f32 and bf16, against burn's operations, in alternating
+//! blocks of one run, in wall-clock and processor time.
 //!
 //! `cargo bench -p where2act-model --bench training_step -- [rgb|cloud] [WIDTH] [BATCH] [BLOCKS] [fast]`; `fast` leaves burn out.
 
@@ -26,9 +26,9 @@ fn main() {
     let usual = if modality == Modality::Rgb { 0.5 } else { 1.0 };
     let (width, batch, blocks) = (number(1, usual) as f32, number(2, 8.0) as usize, number(3, 3.0) as usize);
     let engines: &[TrainingEngine] = if arguments.iter().any(|a| a == "fast") {
-        &[TrainingEngine::Fast]
+        &[TrainingEngine::Fast, TrainingEngine::Bf16]
     } else {
-        &[TrainingEngine::Fast, TrainingEngine::Burn]
+        &[TrainingEngine::Fast, TrainingEngine::Bf16, TrainingEngine::Burn]
     };
 
     let device = Device::flex().autodiff();
@@ -85,11 +85,11 @@ fn main() {
         );
         results.push((median(1), median(2)));
     }
-    if let [fast, burn] = results[..] {
+    for (engine, result) in engines.iter().zip(&results).skip(1) {
         println!(
-            "burn / fast: {:.2} in wall-clock, {:.2} in processor time",
-            burn.0 / fast.0,
-            burn.1 / fast.1
+            "{engine:?} / Fast: {:.2} in wall-clock, {:.2} in processor time",
+            result.0 / results[0].0,
+            result.1 / results[0].1
         );
     }
 }

@@ -31,8 +31,8 @@ pub mod teacher;
 mod validate;
 
 pub use config::{
-    AdaptiveConfig, BatchConfig, CollectConfig, ConfigError, Decay, LossConfig, NetworkConfig, Optimiser,
-    ScheduleConfig, TeacherConfig, TrainConfig,
+    AdaptiveConfig, Arithmetic, BatchConfig, CollectConfig, ConfigError, Decay, LossConfig, NetworkConfig,
+    Optimiser, ScheduleConfig, TeacherConfig, TrainConfig,
 };
 pub use dataset::{Counts, DataError, Dataset, Folder, SceneId};
 pub use mean::{MeanError, mean};

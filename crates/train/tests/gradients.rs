@@ -56,6 +56,7 @@ fn config(modality: Modality) -> TrainConfig {
             epoch_steps: 1,
             mean_steps: 0,
             optimiser: Default::default(),
+            precision: Default::default(),
             rate: 1e-3,
             trial_rate: None,
             weight_decay: 0.0,

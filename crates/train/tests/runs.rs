@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use burn::tensor::Device;
 use where2act_core::shard::Manifest;
 use where2act_core::{Primitive, Seed};
+use where2act_kernels::Isa;
 use where2act_model::{Modality, Network, Precision, Tensors, Weights, save_weights};
 use where2act_train::batch::Source;
 use where2act_train::checkpoint;
@@ -16,8 +17,8 @@ use where2act_train::probes::Learner;
 use where2act_train::run::{Control, Outcome, TrainError, files, train};
 use where2act_train::step::Phase;
 use where2act_train::{
-    BatchConfig, CollectConfig, DataError, Dataset, Decay, LossConfig, NetworkConfig, Optimiser, Part,
-    Replay, ScheduleConfig, TeacherConfig, TrainConfig,
+    Arithmetic, BatchConfig, CollectConfig, DataError, Dataset, Decay, LossConfig, NetworkConfig, Optimiser,
+    Part, Replay, ScheduleConfig, TeacherConfig, TrainConfig,
 };
 
 fn data(folder: &Path, scenes: u64) -> Arc<Dataset> {
@@ -64,6 +65,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             epoch_steps: 6,
             mean_steps: 0,
             optimiser: Default::default(),
+            precision: Default::default(),
             rate: 3e-3,
             trial_rate: None,
             weight_decay: 1e-5,
@@ -283,6 +285,36 @@ fn a_network_for_pictures_learns_from_one_for_scans() {
     config.network.modality = Modality::Cloud;
     let error = train_for(&config, &data, &folder.path().join("scans"), 1).unwrap_err();
     assert!(error.to_string().contains("teacher.weights"), "{error}");
+}
+
+/// The first loss knows the forward pass alone, those after it the gradients too.
+#[test]
+fn steps_in_bf16_come_near_those_in_f32() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 16);
+    let mut config = config(0, 6);
+    config.network.modality = Modality::Rgb;
+    config.network.width = 0.125;
+    (config.network.second_look, config.batch.measured) = (false, 0.0);
+    let (_, exact) = train_for(&config, &data, &folder.path().join("f32"), usize::MAX).unwrap();
+    config.schedule.precision = Arithmetic::Bf16;
+    let run = folder.path().join("bf16");
+    if Isa::bf16().is_some() {
+        let (_, losses) = train_for(&config, &data, &run, usize::MAX).unwrap();
+        for (a, b) in exact.iter().zip(&losses) {
+            assert!(a != b && (a - b).abs() < 0.05 * a.abs(), "{exact:?}, {losses:?}");
+        }
+        let other = ScheduleConfig { precision: Arithmetic::F32, ..config.schedule.clone() };
+        let other = TrainConfig { schedule: other, ..config.clone() };
+        let error = train_for(&other, &data, &run, 1).unwrap_err();
+        assert!(error.to_string().contains("another configuration"), "{error}");
+    } else {
+        let error = train_for(&config, &data, &run, 1).unwrap_err();
+        assert!(error.to_string().contains("schedule.precision: expected f32, found bf16"), "{error}");
+    }
+    config.network.modality = Modality::Cloud;
+    let error = train_for(&config, &data, &folder.path().join("scans"), 1).unwrap_err();
+    assert!(error.to_string().contains("schedule.precision is bf16"), "{error}");
 }
 
 #[test]

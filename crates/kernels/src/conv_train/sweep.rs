@@ -32,18 +32,22 @@ pub(super) struct Output<'a> {
 pub(super) fn pack_weights(
     isa: Isa,
     [outputs, channels, taps]: [usize; 3],
-    weight: impl Fn(usize, usize, usize) -> f32,
+    weight: impl Fn(usize, usize, usize) -> f32 + Sync,
 ) -> Vec<f32> {
-    let offsets = operands::groups(isa, channels) * taps;
-    let mut packed = vec![0.0; outputs.div_ceil(CHANNELS) * offsets * CHANNELS];
-    for (i, packed) in packed.iter_mut().enumerate() {
-        let (o, k) = (i / CHANNELS / offsets * CHANNELS + i % CHANNELS, i / CHANNELS % offsets);
-        let (channel, tap) = (k / taps * isa.operands(), k % taps);
-        if o < outputs {
-            let next = || if channel + 1 < channels { weight(o, channel + 1, tap) } else { 0.0 };
-            *packed = operands::weights(isa, weight(o, channel, tap), next);
+    let per_block = operands::groups(isa, channels) * taps * CHANNELS;
+    let mut packed = vec![0.0; outputs.div_ceil(CHANNELS) * per_block];
+    // Without taps there is nothing to pack.
+    packed.par_chunks_mut(per_block.max(1)).enumerate().for_each(|(block, packed)| {
+        let groups = (0..channels)
+            .step_by(isa.operands())
+            .flat_map(|channel| (0..taps).map(move |tap| (channel, tap)));
+        for ((channel, tap), to) in groups.zip(packed.chunks_exact_mut(CHANNELS)) {
+            for (o, to) in (block * CHANNELS..outputs).zip(to) {
+                let next = || if channel + 1 < channels { weight(o, channel + 1, tap) } else { 0.0 };
+                *to = operands::weights(isa, weight(o, channel, tap), next);
+            }
         }
-    }
+    });
     packed
 }
 

@@ -7,6 +7,7 @@ use where2act_kernels::conv_train::{
     ConvShape, Part, forward, input_gradient, upsampling_gradient, weight_gradient,
 };
 
+use super::TrainingEngine;
 use super::function::{Function, apply, flex, sizes, tensor, values, variable};
 
 /// A convolution with a square kernel.
@@ -38,8 +39,8 @@ pub(crate) fn conv_upsampled(
 /// Why a gradient cannot fail.
 const CHECKED: &str = "the forward pass has checked the sizes";
 
-/// The input as it was, the weight, the sizes.
-type Kept<const N: usize> = Option<([FlexTensor; N], FlexTensor, ConvShape)>;
+/// The input as it was, the weight, the sizes, and what to compute gradients with.
+type Kept<const N: usize> = Option<([FlexTensor; N], FlexTensor, ConvShape, Isa)>;
 
 #[derive(Clone, Debug)]
 struct Convolution {
@@ -55,22 +56,22 @@ impl Function<2> for Convolution {
         let Self { stride, padding, .. } = *self;
         let shape = ConvShape { batch, inputs, height, width, outputs, kernel, stride, padding };
         let parts = [Part { planes: values(x), channels: inputs, doubled: false }];
-        let y =
-            (kernel == same).then(|| forward(Isa::best(), &shape, &parts, values(weight), None).ok())??;
-        self.kept = Some(([x.clone()], weight.clone(), shape));
+        let isa = TrainingEngine::current().isa();
+        let y = (kernel == same).then(|| forward(isa, &shape, &parts, values(weight), None).ok())??;
+        self.kept = Some(([x.clone()], weight.clone(), shape, isa));
         Some(flex(y, [batch, outputs, shape.out_height(), shape.out_width()]))
     }
 
     fn backward(&self, gradient: &FlexTensor, wanted: [bool; 2]) -> [Option<FlexTensor>; 2] {
-        let ([x], weight, shape) = self.kept.as_ref().expect("forward comes first");
+        let ([x], weight, shape, isa) = self.kept.as_ref().expect("forward comes first");
         let dy = values(gradient);
         let dx = wanted[0].then(|| {
-            let dx = input_gradient(Isa::best(), shape, dy, values(weight)).expect(CHECKED);
+            let dx = input_gradient(*isa, shape, dy, values(weight)).expect(CHECKED);
             flex(dx, [shape.batch, shape.inputs, shape.height, shape.width])
         });
         let dw = wanted[1].then(|| {
             let parts = [Part { planes: values(x), channels: shape.inputs, doubled: false }];
-            let dw = weight_gradient(Isa::best(), shape, &parts, dy).expect(CHECKED);
+            let dw = weight_gradient(*isa, shape, &parts, dy).expect(CHECKED);
             flex(dw, [shape.outputs, shape.inputs, shape.kernel, shape.kernel])
         });
         [dx, dw]
@@ -100,20 +101,20 @@ impl Function<3> for Upsampled {
         let shape =
             ConvShape { batch, inputs, height, width, outputs, kernel, stride: 1, padding: self.padding };
         let parts = parts(x, skip, channels, inputs);
-        let y =
-            (kernel == same).then(|| forward(Isa::best(), &shape, &parts, values(weight), None).ok())??;
-        self.kept = Some(([x.clone(), skip.clone()], weight.clone(), shape));
+        let isa = TrainingEngine::current().isa();
+        let y = (kernel == same).then(|| forward(isa, &shape, &parts, values(weight), None).ok())??;
+        self.kept = Some(([x.clone(), skip.clone()], weight.clone(), shape, isa));
         Some(flex(y, [batch, outputs, shape.out_height(), shape.out_width()]))
     }
 
     fn backward(&self, gradient: &FlexTensor, wanted: [bool; 3]) -> [Option<FlexTensor>; 3] {
-        let ([x, skip], weight, shape) = self.kept.as_ref().expect("forward comes first");
+        let ([x, skip], weight, shape, isa) = self.kept.as_ref().expect("forward comes first");
         let ConvShape { batch, inputs, height, width, .. } = *shape;
         let [_, channels, _, _] = sizes(x).expect(CHECKED);
         let dy = values(gradient);
         let (mut of_x, mut of_skip) = (None, None);
         if wanted[0] || wanted[1] {
-            let all = input_gradient(Isa::best(), shape, dy, values(weight)).expect(CHECKED);
+            let all = input_gradient(*isa, shape, dy, values(weight)).expect(CHECKED);
             if wanted[0] {
                 let dx =
                     upsampling_gradient(&all, [batch, inputs, height, width], 0, channels).expect(CHECKED);
@@ -128,7 +129,7 @@ impl Function<3> for Upsampled {
         }
         let dw = wanted[2].then(|| {
             let parts = parts(x, skip, channels, inputs);
-            let dw = weight_gradient(Isa::best(), shape, &parts, dy).expect(CHECKED);
+            let dw = weight_gradient(*isa, shape, &parts, dy).expect(CHECKED);
             flex(dw, [shape.outputs, inputs, shape.kernel, shape.kernel])
         });
         [of_x, of_skip, dw]

@@ -2,12 +2,17 @@
 
 use std::cell::Cell;
 
+use where2act_kernels::Isa;
+
 /// Who computes convolutions, batch-norms and point layers in training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum TrainingEngine {
     /// Our kernels wherever they apply, burn's elsewhere.
     #[default]
     Fast,
+    /// The same with convolutions that multiply in bf16 and add in f32, gradients too, where the processor has it in AVX-512
+    /// ([`Isa::bf16`]), in f32 elsewhere. Weights, activations and what the optimiser remembers stay f32.
+    Bf16,
     /// burn's own operations only: what the kernels are tested against.
     Burn,
 }
@@ -31,6 +36,11 @@ impl TrainingEngine {
         f()
     }
 
+    /// The instruction set of its convolutions.
+    pub(super) fn isa(self) -> Isa {
+        if self == Self::Bf16 { Isa::bf16().unwrap_or_else(Isa::best) } else { Isa::best() }
+    }
+
     /// The engine of the innermost [`TrainingEngine::scope`], [`TrainingEngine::Fast`] outside any.
     pub fn current() -> Self {
         CHOSEN.get()
@@ -42,8 +52,9 @@ impl std::str::FromStr for TrainingEngine {
     fn from_str(name: &str) -> Result<Self, Self::Err> {
         match name {
             "fast" => Ok(Self::Fast),
+            "bf16" => Ok(Self::Bf16),
             "burn" => Ok(Self::Burn),
-            _ => Err(format!("expected fast or burn, found {name}")),
+            _ => Err(format!("expected fast, bf16 or burn, found {name}")),
         }
     }
 }

@@ -192,6 +192,28 @@ fn constants_and_the_burn_engine_are_declined() {
     assert!(TrainingEngine::Burn.scope(|| conv(&x, &weight, 1, 1)).is_none());
 }
 
+/// Gradients too: what is computed in the backward pass, outside of the scope, follows the forward pass.
+#[test]
+fn bf16_comes_near_f32() {
+    if where2act_kernels::Isa::bf16().is_none() {
+        return;
+    }
+    let [x, skip] = [random([2, 6, 8, 8]), random([2, 5, 16, 16])];
+    let [first, second] = [random([9, 6, 3, 3]), random([4, 14, 3, 3])];
+    let run = |engine: TrainingEngine| {
+        let [x, skip, first, second] = [&x, &skip, &first, &second].map(leaf);
+        let y = engine.scope(|| conv_upsampled(&conv(&x, &first, 1, 1).unwrap(), &skip, &second, 1).unwrap());
+        let gradients = loss(y.clone()).backward();
+        let gradients = [x, skip, first, second].map(|leaf| numbers(leaf.grad(&gradients).unwrap()));
+        [vec![numbers(y.inner())], gradients.to_vec()].concat()
+    };
+    for (exact, found) in run(TrainingEngine::Fast).into_iter().zip(run(TrainingEngine::Bf16)) {
+        let largest = exact.iter().fold(0.0f32, |m, x| m.max(x.abs()));
+        let error = exact.iter().zip(&found).fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+        assert!((1e-5..2e-2).contains(&(error / largest)), "{error} of {largest}");
+    }
+}
+
 #[test]
 #[cfg(feature = "ndarray")]
 #[expect(deprecated, reason = "selectable until burn drops it")]

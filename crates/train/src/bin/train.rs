@@ -22,7 +22,8 @@ use where2act_train::evaluate::EvaluateConfig;
 use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
 use where2act_train::teacher::Teacher;
 use where2act_train::{
-    CollectConfig, Dataset, Folder, TeacherConfig, TrainConfig, adaptive, checkpoint, first_weights,
+    Arithmetic, CollectConfig, Dataset, Folder, TeacherConfig, TrainConfig, adaptive, checkpoint,
+    first_weights,
 };
 
 use shared::Work;
@@ -95,6 +96,10 @@ struct Args {
     /// No online sampling.
     #[arg(long)]
     no_adaptive: bool,
+    /// What the convolutions of a network for pictures multiply in, instead of what the configuration says. bf16 needs AVX-512
+    /// with bf16.
+    #[arg(long, value_enum)]
+    precision: Option<PrecisionArg>,
     /// Scenes of the evaluation at the end; 0 = none.
     #[arg(long, default_value_t = 40)]
     episodes: u64,
@@ -103,6 +108,13 @@ struct Args {
     device: String,
     #[command(flatten)]
     work: Work,
+}
+
+/// [`Arithmetic`], as it is asked for.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum PrecisionArg {
+    F32,
+    Bf16,
 }
 
 /// burn's backends that this build has.
@@ -237,6 +249,11 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
     if !args.primitives.is_empty() {
         config.network.primitives.clone_from(&args.primitives);
     }
+    match args.precision {
+        Some(PrecisionArg::F32) => config.schedule.precision = Arithmetic::F32,
+        Some(PrecisionArg::Bf16) => config.schedule.precision = Arithmetic::Bf16,
+        None => {}
+    }
     if args.no_adaptive {
         config.adaptive.enabled = false;
     }
@@ -246,6 +263,7 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
 
 /// Reads what the run shall start from.
 fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
+    config.schedule.precision.engine().context("schedule")?;
     let flag = if config.encoder.is_some() { "--encoder" } else { "--from" };
     first_weights(config, &config.model(), &Device::flex()).context(flag)?;
     if let Some(teacher) = &config.teacher {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use where2act_model::Modality;
 use where2act_sim::collect::ObjectSet;
 
-use super::{AdaptiveConfig, Decay, NetworkConfig, ScheduleConfig, TeacherConfig, TrainConfig};
+use super::{AdaptiveConfig, Arithmetic, Decay, NetworkConfig, ScheduleConfig, TeacherConfig, TrainConfig};
 
 /// A configuration that cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -117,6 +117,9 @@ impl TrainConfig {
     fn check_schedule(&self) -> Checked {
         let ScheduleConfig { score_steps, joint_steps, epoch_steps, rate, trial_rate, weight_decay, .. } =
             self.schedule;
+        let of_pictures = self.network.modality == Modality::Rgb;
+        let precise = self.schedule.precision == Arithmetic::F32 || of_pictures;
+        check(precise, "schedule.precision", "bf16", "f32, as it is for scans")?;
         check(self.steps() > 0, "schedule", "0 steps", "at least one step")?;
         // Proposals and actionability are learnt with all heads alone: without such steps there is nothing to keep.
         let kept = joint_steps > 0 || score_steps == 0;

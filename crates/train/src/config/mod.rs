@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use where2act_core::{Primitive, Seed};
-use where2act_model::{Modality, ModelConfig};
+use where2act_kernels::Isa;
+use where2act_model::{EngineError, Modality, ModelConfig, TrainingEngine};
 
 pub use checks::ConfigError;
 
@@ -157,6 +158,9 @@ pub struct ScheduleConfig {
     /// What turns gradients into steps: Adam unless said otherwise. Steps of both are about as large, so `rate` may stay.
     #[serde(default, skip_serializing_if = "Optimiser::is_adam")]
     pub optimiser: Optimiser,
+    /// What the convolutions of a network for pictures multiply in: f32 unless said otherwise.
+    #[serde(default, skip_serializing_if = "Arithmetic::is_f32")]
+    pub precision: Arithmetic,
     /// Learning rate at the start.
     #[serde(default = "published_rate")]
     pub rate: f64,
@@ -318,6 +322,34 @@ pub enum Optimiser {
 impl Optimiser {
     fn is_adam(&self) -> bool {
         *self == Self::Adam
+    }
+}
+
+/// What convolutions multiply in while they learn; all else is f32.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Arithmetic {
+    /// What weights are kept in, too.
+    #[default]
+    F32,
+    /// Operands rounded to 8 bits, sums in f32. Needs AVX-512 with bf16; on AMD's Zen 5 a step is sooner done.
+    Bf16,
+}
+
+impl Arithmetic {
+    fn is_f32(&self) -> bool {
+        *self == Self::F32
+    }
+
+    /// What computes the steps.
+    ///
+    /// # Errors
+    /// [`EngineError::NoBf16`].
+    pub fn engine(self) -> Result<TrainingEngine, EngineError> {
+        match self {
+            Self::F32 => Ok(TrainingEngine::Fast),
+            Self::Bf16 => Isa::bf16().map(|_| TrainingEngine::Bf16).ok_or(EngineError::NoBf16),
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use where2act_core::Primitive;
-use where2act_model::{Modality, WeightsError};
+use where2act_model::{EngineError, Modality, WeightsError};
 
 use crate::checkpoint::CheckpointError;
 use crate::config::ConfigError;
@@ -16,6 +16,9 @@ pub enum TrainError {
     /// The configuration makes no sense.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// The processor does not have what `schedule.precision` asks for.
+    #[error("schedule.{0}")]
+    Engine(#[from] EngineError),
     /// The data cannot be used.
     #[error(transparent)]
     Data(#[from] DataError),

@@ -17,7 +17,7 @@ use burn::optim::GradientsParams;
 use burn::tensor::Device;
 use serde::Serialize;
 use where2act_core::{Policy, Seed, Trial};
-use where2act_model::{Precision, save_weights};
+use where2act_model::{Precision, TrainingEngine, save_weights};
 
 pub use error::TrainError;
 pub(crate) use error::io;
@@ -77,6 +77,7 @@ pub fn train<'a>(
     control: Control<'a>,
 ) -> Result<Outcome, TrainError> {
     config.validate()?;
+    let engine = config.schedule.precision.engine()?;
     let train_scenes: Arc<[SceneId]> = dataset.scenes(Part::Train)?.into();
     let validation_scenes = if config.phase(config.steps() - 1) == Phase::Look {
         dataset.scenes(Part::Validation)?
@@ -124,6 +125,7 @@ pub fn train<'a>(
     forget_metrics_after(&out.join(files::METRICS), state.progress.step)?;
     let mut run = Run {
         config,
+        engine,
         teacher: teacher.map(Arc::new),
         dataset,
         train_scenes,
@@ -139,6 +141,7 @@ pub fn train<'a>(
 
 struct Run<'a> {
     config: &'a TrainConfig,
+    engine: TrainingEngine,
     teacher: Option<Arc<Teacher>>,
     dataset: Arc<Dataset>,
     train_scenes: Arc<[SceneId]>,
@@ -234,7 +237,8 @@ impl Run<'_> {
         let mut secs = StageSecs { reading, ..StageSecs::default() };
         let mut watch = Instant::now();
         let mut lap = || std::mem::replace(&mut watch, Instant::now()).elapsed().as_secs_f64();
-        let losses = forward(&self.state.learner, batch, phase, &self.config.loss, &mut rng);
+        let learner = &self.state.learner;
+        let losses = self.engine.scope(|| forward(learner, batch, phase, &self.config.loss, &mut rng));
         let total = losses.total(self.config);
         let loss = total.as_ref().map_or(0.0, number);
         secs.forward = lap();
