@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes weights of the kind of weights/cloud and then weights/rgb from nothing, on two cores: an hour for the data, four and a
-# half for scans, by the speeds of its steps five for pictures, and half an hour for judging both. `weights/make.sh cloud`
+# Makes weights of the kind of weights/cloud and then weights/rgb from nothing, on two cores: two hours for the data, four and a
+# half for scans, by the speeds of its steps seven and a half for pictures, and half an hour for judging both. `weights/make.sh cloud`
 # leaves out pictures. What is interrupted goes on when this is run again, in the same folder.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -25,7 +25,13 @@ train standard-end cloud-end --from runs/cloud-more/last --replay runs/cloud-mor
 train standard-mean cloud --from runs/cloud-end/last --replay runs/cloud-end --data data/random
 # Scans teach pictures, and the trials that they made are the first that pictures learn from.
 if [[ $kinds == *rgb* ]]; then
-    train standard-rgb rgb --seed 3 --teacher runs/cloud/last --replay runs/cloud --data data/random
+    train standard-rgb rgb-first --seed 3 --teacher runs/cloud/last --replay runs/cloud --data data/random
+    close=(--randomise --wide --close 0.75 --object-seeds 0..10000)
+    cargo run --bin collect -- --scenes 14000 --trials 0 "${close[@]}" --seed 101 --out data/close-looks $(resume data/close-looks)
+    cargo run --bin collect -- --scenes 4000 --trials 32 --guided 0.6 "${close[@]}" --seed 102 --out data/close-trials \
+        $(resume data/close-trials)
+    cargo run --bin train -- --config configs/standard-rgb-close.toml --from runs/rgb-first/last --teacher runs/cloud/last \
+        --data data/close-trials --data data/close-looks --out runs/rgb --episodes 0 $(resume runs/rgb)
 fi
 for kind in $kinds; do
     cargo run --bin evaluate -- --weights "runs/$kind/last" --episodes 180 --out "runs/$kind/shapes.json"
