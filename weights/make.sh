@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Makes weights of the kind of weights/cloud and then weights/rgb from nothing, on two cores: two hours for the data, four and a
-# half for scans, by the speeds of its steps seven and a half for pictures, and half an hour for judging both. `weights/make.sh cloud`
-# leaves out pictures. What is interrupted goes on when this is run again, in the same folder.
+# half for scans, by the speeds of its steps seven and a half for pictures, and half an hour for judging both.
+# `weights/make.sh cloud` leaves out pictures. What is interrupted goes on when this is run again, in the same folder.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 kinds=${1:-cloud rgb}

@@ -82,7 +82,7 @@ impl Panels {
 }
 
 /// Two bf16 in the place of an f32, the first in its lower half.
-fn pair(values: [f32; 2]) -> f32 {
+pub(crate) fn pair(values: [f32; 2]) -> f32 {
     let [low, high] = values.map(|x| u32::from(bf16::from_f32(x).to_bits()));
     f32::from_bits(low | high << 16)
 }

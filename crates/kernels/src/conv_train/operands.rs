@@ -1,9 +1,8 @@
 //! What the inner loops multiply, as the instruction set wants it. With products of f32 there is nothing to do; with those of
 //! bf16 two operands lie in the place of a value, and what is packed takes the first half of its scratch.
 
-use half::bf16;
-
 use crate::Isa;
+use crate::gemm::pair;
 use crate::simd::{Kernel, Vector};
 
 /// Input channels whose products one instruction adds up: rows of operands for so many channels.
@@ -13,11 +12,7 @@ pub(super) fn groups(isa: Isa, channels: usize) -> usize {
 
 /// The operands of a weight: those of its channel and, where there are two, of the next.
 pub(super) fn weights(isa: Isa, weight: f32, next: impl FnOnce() -> f32) -> f32 {
-    if isa.operands() == 1 {
-        return weight;
-    }
-    let [low, high] = [weight, next()].map(|x| u32::from(bf16::from_f32(x).to_bits()));
-    f32::from_bits(low | high << 16)
+    if isa.operands() == 1 { weight } else { pair([weight, next()]) }
 }
 
 /// Puts the values of every two channels into one row of operands: `[channels, len]` becomes `[groups, len]`, in place.

@@ -126,7 +126,7 @@ impl Isa {
     pub(crate) fn operands(self) -> usize {
         match self.level() {
             #[cfg(target_arch = "x86_64")]
-            Level::Bf16 => 2,
+            Level::Bf16 => bf16::Bf16x32::OPERANDS,
             _ => 1,
         }
     }

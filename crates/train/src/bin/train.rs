@@ -19,7 +19,7 @@ use where2act_model::{Modality, Summary};
 use where2act_sim::collect::{CollectError, Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::adaptive::Explored;
 use where2act_train::evaluate::EvaluateConfig;
-use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, files, train};
+use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, TrainError, files, train};
 use where2act_train::teacher::Teacher;
 use where2act_train::{
     Arithmetic, CollectConfig, Dataset, Folder, TeacherConfig, TrainConfig, adaptive, checkpoint,
@@ -98,8 +98,8 @@ struct Args {
     no_adaptive: bool,
     /// What the convolutions of a network for pictures multiply in, instead of what the configuration says. bf16 needs AVX-512
     /// with bf16.
-    #[arg(long, value_enum)]
-    precision: Option<PrecisionArg>,
+    #[arg(long, value_parser = ["f32", "bf16"])]
+    precision: Option<String>,
     /// Scenes of the evaluation at the end; 0 = none.
     #[arg(long, default_value_t = 40)]
     episodes: u64,
@@ -108,13 +108,6 @@ struct Args {
     device: String,
     #[command(flatten)]
     work: Work,
-}
-
-/// [`Arithmetic`], as it is asked for.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum PrecisionArg {
-    F32,
-    Bf16,
 }
 
 /// burn's backends that this build has.
@@ -249,9 +242,9 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
     if !args.primitives.is_empty() {
         config.network.primitives.clone_from(&args.primitives);
     }
-    match args.precision {
-        Some(PrecisionArg::F32) => config.schedule.precision = Arithmetic::F32,
-        Some(PrecisionArg::Bf16) => config.schedule.precision = Arithmetic::Bf16,
+    match args.precision.as_deref() {
+        Some("bf16") => config.schedule.precision = Arithmetic::Bf16,
+        Some(_) => config.schedule.precision = Arithmetic::F32,
         None => {}
     }
     if args.no_adaptive {
@@ -263,7 +256,7 @@ fn configure(args: &Args) -> anyhow::Result<TrainConfig> {
 
 /// Reads what the run shall start from.
 fn check_start(config: &TrainConfig) -> anyhow::Result<()> {
-    config.schedule.precision.engine().context("schedule")?;
+    config.schedule.precision.engine().map_err(TrainError::from)?;
     let flag = if config.encoder.is_some() { "--encoder" } else { "--from" };
     first_weights(config, &config.model(), &Device::flex()).context(flag)?;
     if let Some(teacher) = &config.teacher {
