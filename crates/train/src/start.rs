@@ -4,7 +4,7 @@ use std::fs;
 
 use burn::module::ParamGroup;
 use burn::optim::decay::WeightDecayConfig;
-use burn::optim::{AdamConfig, AdjustLrFn, ModuleOptimizer, MuonConfig};
+use burn::optim::{AdamConfig, ModuleOptimizer};
 use burn::tensor::Device;
 use rayon::prelude::*;
 use where2act_core::sha256_hex;
@@ -26,14 +26,12 @@ const RADIUS_SCENES: usize = 400;
 /// The optimiser that the configuration names.
 pub(crate) fn optimiser(config: &TrainConfig) -> ModuleOptimizer {
     let decay = WeightDecayConfig::new(config.schedule.weight_decay);
-    let adam = AdamConfig::new().with_weight_decay(Some(decay.clone())).init();
+    let adam = AdamConfig::new().with_weight_decay(Some(decay)).init();
     match config.schedule.optimiser {
         Optimiser::Adam => adam,
         Optimiser::Muon => {
             let weights = ParamGroup::from_predicates(vec!["backbone", ".weight"]);
-            let muon =
-                MuonConfig::new().with_weight_decay(Some(decay)).with_adjust_lr_fn(AdjustLrFn::MatchRmsAdamW);
-            adam.with_group(weights, KernelMuon(muon.build()), None)
+            adam.with_group(weights, KernelMuon::new(config.schedule.weight_decay), None)
         }
     }
 }
