@@ -38,7 +38,7 @@ pub use artifact::{sha256_hex, write_whole};
 pub use camera::{Camera, ImageSize, Intrinsics, Pixel};
 pub use category::{Category, Split, UnknownCategory};
 pub use gripper::{GRIPPER, GripperGeometry};
-pub use observation::Observation;
+pub use observation::{Observation, is_measured, is_measured_depth};
 pub use one_line::one_line;
 pub use orientation::{Orientation6, orthonormal_frame};
 pub use prediction::{

@@ -4,6 +4,22 @@ use nalgebra::Point3;
 
 use crate::{ImageSize, Intrinsics, Pixel};
 
+/// Coordinates beyond this many metres are no measurements: some programs write such numbers for what is infinitely far away.
+const FURTHEST: f32 = 1e6;
+
+/// Whether a depth was measured, metres: it is positive, and not beyond what any sensor sees.
+#[must_use]
+pub fn is_measured_depth(z: f32) -> bool {
+    z > 0.0 && z < FURTHEST
+}
+
+/// Whether a point of a scan was measured: it is finite, and it is not (0, 0, 0), which is what organised clouds have where
+/// nothing was seen.
+#[must_use]
+pub fn is_measured(point: &Point3<f32>) -> bool {
+    point.iter().all(|x| x.abs() < FURTHEST) && *point != Point3::origin()
+}
+
 /// One view of an object: a picture, a depth map, both, or an unordered scan. Buffers are row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Observation {
@@ -13,7 +29,7 @@ pub enum Observation {
         size: ImageSize,
         /// Colours, sRGB, `[height * width]`.
         rgb: Option<Vec<[u8; 3]>>,
-        /// Depth along the optical axis in metres, `[height * width]`; 0, negative or not finite = nothing seen.
+        /// Depth along the optical axis in metres, `[height * width]`; 0, negative, 1e6 and more or not finite = nothing seen.
         depth: Option<Vec<f32>>,
         /// Needed to turn depth into points.
         intrinsics: Option<Intrinsics>,
@@ -23,8 +39,7 @@ pub enum Observation {
     },
     /// Points in the optical frame, metres.
     Cloud {
-        /// At least one measured point. Those that are not finite, or exactly at (0, 0, 0), as organised clouds mark what they
-        /// did not see, count as nothing; they keep their index.
+        /// At least one point that was [measured](is_measured); the others count as nothing and keep their index.
         points: Vec<Point3<f32>>,
     },
 }
@@ -43,7 +58,7 @@ impl Observation {
                 let pixel = Pixel { u, v };
                 let i = size.index(pixel);
                 let Some(&z) = depth.get(i) else { return points };
-                if z > 0.0 && z.is_finite() && mask.as_ref().is_none_or(|m| m.get(i) == Some(&true)) {
+                if is_measured_depth(z) && mask.as_ref().is_none_or(|m| m.get(i) == Some(&true)) {
                     points.push((pixel, intrinsics.pixel_to_point(pixel, z)));
                 }
             }

@@ -1,8 +1,9 @@
 //! What a network says about an observation: the contents of `prediction.json`.
 
+use nalgebra::{Isometry3, Matrix3, Matrix4, Point3, Rotation3, Translation3, UnitQuaternion};
 use serde::{Deserialize, Serialize};
 
-use crate::{Intrinsics, Pixel, Primitive};
+use crate::{Grasp, Intrinsics, Pixel, Primitive};
 
 /// Name and version of the JSON layout.
 pub const PREDICTION_SCHEMA: &str = "where2act.prediction/1";
@@ -64,7 +65,8 @@ pub struct PrimitivePrediction {
     pub proposals: Vec<Proposal>,
 }
 
-/// A dense actionability map, summarised over the object or, if proposals may be in a region only, what of that is on it.
+/// A dense actionability map, summarised where proposals may be: over the object, what of it is in the region if there is one,
+/// and, of a picture with depth, where that was measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ActionabilitySummary {
     /// Largest value.
@@ -94,7 +96,8 @@ pub struct Proposal {
     pub rotation: [[f32; 3]; 3],
     /// The same rotation.
     pub quaternion_xyzw: [f32; 4],
-    /// Hand pose at the start of the primitive, 4x4 by rows; `None` without a contact point.
+    /// Hand pose at the start of the primitive, 4x4 by rows, where nalgebra's arrays go by columns: see [`Self::poses`]. `None`
+    /// without a contact point.
     pub hand_pose: Option<[[f32; 4]; 4]>,
     /// Hand poses to visit, the start included; empty without a contact point.
     pub waypoints: Vec<[[f32; 4]; 4]>,
@@ -108,6 +111,25 @@ pub struct Proposal {
     pub score: f32,
     /// Actionability of the pixel in [0, 1].
     pub actionability: f32,
+}
+
+impl Proposal {
+    /// The hand at the contact point; `None` without one.
+    #[must_use]
+    pub fn grasp(&self) -> Option<Grasp> {
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from(self.rotation).transpose());
+        self.point.map(|point| Grasp { point: Point3::from(point), rotation })
+    }
+
+    /// The waypoints, `camera_from_hand`.
+    pub fn poses(&self) -> impl Iterator<Item = Isometry3<f32>> {
+        self.waypoints.iter().map(|rows| {
+            let matrix = Matrix4::from(*rows).transpose();
+            let translation = Translation3::from(matrix.fixed_view::<3, 1>(0, 3).into_owned());
+            let rotation = Rotation3::from_matrix_unchecked(matrix.fixed_view::<3, 3>(0, 0).into_owned());
+            Isometry3::from_parts(translation, UnitQuaternion::from_rotation_matrix(&rotation))
+        })
+    }
 }
 
 /// Milliseconds by stage.

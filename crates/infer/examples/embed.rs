@@ -17,9 +17,9 @@ fn main() -> Result<(), Error> {
             continue;
         };
         println!("frame {frame}: opening the fingers to {} m, score {:.2}", best.gripper_width, best.score);
-        for (i, camera_from_hand) in best.waypoints.iter().enumerate() {
-            let [x, y, z] = [0, 1, 2].map(|axis| camera_from_hand[axis][3]);
-            println!("  drive the hand's frame (panda_hand) to {x:.3} {y:.3} {z:.3}");
+        for (i, camera_from_hand) in best.poses().enumerate() {
+            let to = camera_from_hand.translation.vector;
+            println!("  drive the hand's frame (panda_hand) to {:.3} {:.3} {:.3}", to.x, to.y, to.z);
             if best.close_at == Some(i) {
                 println!("  close the fingers");
             }

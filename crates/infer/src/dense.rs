@@ -1,9 +1,11 @@
 //! Actionability everywhere: the raw maps behind a prediction.
 
+use std::fmt;
+
 use nalgebra::Point3;
 use rayon::prelude::*;
-use where2act_core::{Observation, Pixel, Primitive};
-use where2act_model::preprocess::{Letterbox, Window, is_measured};
+use where2act_core::{Observation, Pixel, Primitive, is_measured, is_measured_depth};
+use where2act_model::preprocess::{Letterbox, Window};
 
 use crate::nearest::NearestIndex;
 
@@ -28,6 +30,12 @@ pub(crate) enum Geometry {
         /// The point that was asked for, metres.
         asked: Option<Point3<f32>>,
     },
+}
+
+impl fmt::Debug for DenseMaps<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DenseMaps").field("primitives", &self.primitives).finish_non_exhaustive()
+    }
 }
 
 impl DenseMaps<'_> {
@@ -140,7 +148,7 @@ pub(crate) fn on_object(observation: &Observation, pixel: Pixel) -> bool {
     let i = size.index(pixel);
     let masked = mask.as_ref().is_none_or(|m| m.get(i).copied().unwrap_or(false));
     let seen = match (rgb, depth) {
-        (None, Some(depth)) => depth.get(i).is_some_and(|z| *z > 0.0 && z.is_finite()),
+        (None, Some(depth)) => depth.get(i).copied().is_some_and(is_measured_depth),
         _ => true,
     };
     masked && seen
@@ -152,6 +160,6 @@ pub(crate) fn seen_point(observation: &Observation, pixel: Pixel) -> Option<Poin
     else {
         return None;
     };
-    let z = depth.get(size.index(pixel)).copied().filter(|z| *z > 0.0 && z.is_finite())?;
+    let z = depth.get(size.index(pixel)).copied().filter(|z| is_measured_depth(*z))?;
     on_object(observation, pixel).then(|| intrinsics.pixel_to_point(pixel, z))
 }

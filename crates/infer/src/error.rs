@@ -47,14 +47,6 @@ pub enum Error {
     /// A file could not be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// A result could not be written.
-    #[error("{}: {source}", path.display())]
-    Write {
-        /// Which file.
-        path: PathBuf,
-        /// What the file system said.
-        source: std::io::Error,
-    },
     /// The weights folder could not be loaded.
     #[error("{}: {source}", path.display())]
     Weights {
@@ -114,6 +106,12 @@ pub enum Error {
         expected: String,
         /// What was given.
         found: String,
+    },
+    /// Nothing of the object is where proposals may be.
+    #[error("{what}: expected pixels or points of the object, found none")]
+    NothingThere {
+        /// `mask` or `region`.
+        what: &'static str,
     },
     /// The network itself failed.
     #[error("network: {0}")]

@@ -132,7 +132,7 @@ pub mod write;
 
 pub use backbone::Backend;
 pub use dense::DenseMaps;
-pub use draw::{draw_overlay, draw_sheet, heat_colour};
+pub use draw::{draw_overlay, draw_sheet, heat_colour, heat_end};
 pub use error::{Error, Malformed, ReadError};
 pub use options::Options;
 pub use predictor::{Output, Predictor};

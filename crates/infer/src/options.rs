@@ -23,8 +23,8 @@ pub struct Options {
     /// Ask for this pixel of the input only (for scans: `u` is the point's index), whatever the region: "what can I do here?"
     pub pixel: Option<Pixel>,
     /// Where proposals may be, one entry per pixel of the input or point of the scan: say, the parts that move. The
-    /// network still sees everything, or what is around the mask. Of a picture one pixel of the object is enough; a network for scans sees some thousand
-    /// points, spread evenly, and one of these has to be inside. `None` = anywhere on the object.
+    /// network still sees everything, or what is around the mask. One pixel or point of the object is enough: where a network for scans, which sees some
+    /// thousand points, spread evenly, sees none of the region, the nearest move there. `None` = anywhere on the object.
     pub region: Option<Vec<bool>>,
     /// Whether hands are left out that have no room: those that would overlap something a scan or a depth map shows, with palm
     /// or fingers at the start, with the palm until the finger tips touch or, for pulling, with the open fingers before they
@@ -44,6 +44,8 @@ impl Options {
     pub const MIN_ANGLE: f32 = std::f32::consts::PI / 12.0;
     /// Most proposals, samples or candidates that may be asked for.
     pub const MAX_COUNT: usize = 10_000;
+    /// Most hands that may be tried for a primitive, samples times candidates: a hundred bytes each.
+    pub const MAX_HANDS: usize = 1_000_000;
 
     /// Proposals at one pixel, at most.
     pub(crate) fn proposals_per_pixel(&self) -> usize {
@@ -61,10 +63,10 @@ impl Options {
     /// The first field that is out of range.
     pub fn validate(&self) -> Result<(), Error> {
         let counts = [
-            ("top-k", self.top_k),
+            ("top_k", self.top_k),
             ("samples", self.samples),
             ("candidates", self.candidates),
-            ("proposals per pixel", self.per_pixel.unwrap_or(1)),
+            ("per_pixel", self.per_pixel.unwrap_or(1)),
         ];
         for (what, n) in counts {
             if !(1..=Self::MAX_COUNT).contains(&n) {
@@ -75,12 +77,17 @@ impl Options {
                 ));
             }
         }
+        let hands = self.samples * self.candidates_at_least();
+        if hands > Self::MAX_HANDS {
+            let expected = format!("at most {} hands, samples at all candidates together", Self::MAX_HANDS);
+            return Err(Error::invalid("samples", expected, hands.to_string()));
+        }
         if self.min_score.is_nan() {
-            return Err(Error::invalid("min-score", "a number", "NaN"));
+            return Err(Error::invalid("min_score", "a number", "NaN"));
         }
         match self.network_from_metres {
             Some(s) if !(s.is_finite() && (1e-6..=1e6).contains(&s)) => {
-                Err(Error::invalid("object-scale", "a number in [1e-6, 1e6]", s.to_string()))
+                Err(Error::invalid("network_from_metres", "a number in [1e-6, 1e6]", s.to_string()))
             }
             _ => Ok(()),
         }

@@ -69,6 +69,13 @@ mod tests {
         assert_eq!(p.waypoints[0], pose);
         assert!((column(&p.waypoints[1], 3) - (point.coords - approach * 0.10)).norm() < 1e-6);
         assert_eq!((p.close_at, p.gripper_width), (Some(1), 0.08));
+        assert_eq!(p.grasp(), Some(Grasp { point, rotation }));
+        let poses: Vec<_> = p.poses().collect();
+        let motion = Primitive::Pulling.motion(&Grasp { point, rotation });
+        for (found, expected) in poses.iter().zip(motion.waypoints()) {
+            assert!((found.to_homogeneous() - expected.to_homogeneous()).amax() < 1e-6, "{found} {expected}");
+        }
+        assert_eq!(poses.len(), 3);
         let [x, y, z, w] = p.quaternion_xyzw;
         let q = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
         assert!((q * Vector3::x() - Vector3::from(p.forward)).norm() < 1e-5 && w >= 0.0);
@@ -78,6 +85,7 @@ mod tests {
     fn without_a_point_there_is_an_orientation_only() {
         let p = proposal(Primitive::Pushing, Pixel { u: 0, v: 0 }, None, &Rotation3::identity(), (0.1, 0.2));
         assert!(p.point.is_none() && p.hand_pose.is_none() && p.waypoints.is_empty() && p.close_at.is_none());
+        assert!(p.grasp().is_none() && p.poses().next().is_none());
         assert_eq!(p.gripper_width, 0.0);
     }
 }

@@ -1,5 +1,6 @@
 //! The one type most callers need.
 
+use std::fmt;
 use std::path::Path;
 use std::time::Instant;
 
@@ -28,7 +29,14 @@ pub struct Predictor {
     model: ModelInfo,
 }
 
+impl fmt::Debug for Predictor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Predictor").field("model", &self.model).finish_non_exhaustive()
+    }
+}
+
 /// A prediction with the dense maps it was made from.
+#[derive(Debug)]
 pub struct Output<'a> {
     /// Proposals and summaries.
     pub prediction: Prediction,

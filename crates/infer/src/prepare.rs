@@ -4,16 +4,14 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use nalgebra::Point3;
-use where2act_core::{ImageSize, Observation, Pixel, Primitive};
-use where2act_model::preprocess::{
-    CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError, is_measured,
-};
+use where2act_core::{ImageSize, Observation, Pixel, Primitive, is_measured};
+use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError};
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::NetworkInput;
 use crate::clearance::{GRIP_REACH, REACH, Room};
 use crate::decode::Places;
-use crate::dense::{Geometry, on_object};
+use crate::dense::{Geometry, on_object, seen_point};
 use crate::nearest::NearestIndex;
 use crate::predictor::{Place, reads};
 use crate::surface::{DepthView, normal};
@@ -26,6 +24,9 @@ const POINT_DISTANCE: f32 = 0.06;
 /// Points whose plane gives a scan's normal, and how far, network units, they may be.
 const NORMAL_POINTS: usize = 16;
 const NORMAL_RADIUS: f32 = 0.15;
+
+/// So many of a scan's points in a region stand for it where the network sees none of them.
+const REGION_POINTS: usize = 16;
 
 /// Points of a scan, in random order as they are, that are looked at for what is in a hand's way: some hundreds around it.
 const OBSTACLES: usize = 8192;
@@ -113,7 +114,7 @@ impl<'a> Prepared<'a> {
         if places.rows().is_empty() && options.pixel.is_none() {
             let masked = mask.as_ref().is_some_and(|mask| !mask.contains(&true));
             let what = if masked { "mask" } else { "region" };
-            return Err(Error::invalid(what, "pixels of the object", "none"));
+            return Err(Error::NothingThere { what });
         }
         Ok(Self {
             input: NetworkInput::Picture { values, side },
@@ -136,28 +137,38 @@ impl<'a> Prepared<'a> {
             CloudInput::from_observation(observation, scale, config, &mut rng).map_err(unusable)?;
         let none =
             |p: Pixel| Error::invalid("pixel", "one of the object, with depth", format!("{},{}", p.u, p.v));
-        let asked = options.pixel.map(|p| observation.point_at(p).ok_or_else(|| none(p))).transpose()?;
+        let asked = options.pixel.map(|p| point_at(observation, p).ok_or_else(|| none(p))).transpose()?;
         // The network sees some thousand points: the one that was asked for takes the nearest one's place among them.
         let asked_row = asked.and_then(|point| input.move_nearest_to(&point)).map(|row| row as u32);
-        let in_metres = |xyz: &[f32; 3]| input.metres_from_network(&Point3::from(*xyz));
-        let xyz = input.xyz.as_chunks().0;
-        let index = NearestIndex::new(xyz.iter().map(in_metres).collect());
-        let surface = NearestIndex::new(input.dense.as_chunks().0.iter().map(in_metres).collect());
         let pixel = |source: &usize| match seen.get(*source) {
             Some(pixel) => *pixel,
             None => Pixel { u: *source as u32, v: 0 },
         };
-        let pixels: Vec<Pixel> = input.source.iter().map(pixel).collect();
+        let mut pixels: Vec<Pixel> = input.source.iter().map(pixel).collect();
         // The position in the input's own buffers: of the pixel, or of the scan's point.
         let position = |pixel: &Pixel| match observation {
             Observation::Image { size, .. } => size.index(*pixel),
             Observation::Cloud { .. } => pixel.u as usize,
         };
-        let wanted =
-            xyz.iter().zip(&pixels).enumerate().filter(|(_, (_, p))| in_region(options, position(p)));
-        let places = Places::new(wanted.map(|(i, (xyz, _))| (i as u32, *xyz)), POINT_DISTANCE);
+        let wanted = |pixel: &Pixel| in_region(options, position(pixel));
+        if options.pixel.is_none() && !pixels.iter().any(wanted) {
+            let inside: Vec<_> =
+                measured(observation).into_iter().filter(|(pixel, _)| wanted(pixel)).collect();
+            for (pixel, point) in inside.iter().step_by(inside.len().div_ceil(REGION_POINTS).max(1)) {
+                let row = input.move_nearest_to(point);
+                if let Some(of_row) = row.and_then(|row| pixels.get_mut(row)) {
+                    *of_row = *pixel;
+                }
+            }
+        }
+        let in_metres = |xyz: &[f32; 3]| input.metres_from_network(&Point3::from(*xyz));
+        let xyz = input.xyz.as_chunks().0;
+        let index = NearestIndex::new(xyz.iter().map(in_metres).collect());
+        let surface = NearestIndex::new(input.dense.as_chunks().0.iter().map(in_metres).collect());
+        let rows = (0..).zip(xyz).zip(&pixels).filter(|(_, pixel)| wanted(pixel));
+        let places = Places::new(rows.map(|((row, xyz), _)| (row, *xyz)), POINT_DISTANCE);
         if places.rows().is_empty() && options.pixel.is_none() {
-            return Err(Error::invalid("region", "one of the points that the network sees", "none"));
+            return Err(Error::NothingThere { what: "region" });
         }
         Ok(Self {
             network_from_metres: input.scale,
@@ -230,28 +241,19 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// Whether a point is nearer than `off` metres to what the observation shows: at `pixel` of a depth map, anywhere in a scan.
-    /// A picture alone does not tell.
+    /// Whether a point is nearer than `off` metres to what the observation shows: at `pixel` of a depth map, anywhere in a scan,
+    /// of which `scan` holds all points. A picture alone does not tell.
     pub(crate) fn shows(
         &self,
-        observation: &Observation,
+        scan: Option<&NearestIndex>,
         point: &Point3<f32>,
         pixel: Pixel,
         off: f32,
     ) -> bool {
-        let near = |seen: &Point3<f32>| (seen - point).norm() < off;
-        match (self.depth, observation) {
-            (Some(depth), _) => depth.contact(pixel).is_some_and(|seen| near(&seen)),
-            (None, Observation::Cloud { points }) => {
-                // The index holds some of the points, evenly: nearly always one of these is near enough.
-                let nearest = self.surface.as_ref().and_then(|surface| {
-                    let found = surface.nearest::<1>(point).first().copied()?;
-                    surface.points().get(found.0 as usize).copied()
-                });
-                nearest.is_some_and(|seen| near(&seen))
-                    || points.iter().any(|seen| is_measured(seen) && near(seen))
-            }
-            (None, Observation::Image { .. }) => true,
+        match (self.depth, scan) {
+            (Some(depth), _) => depth.contact(pixel).is_some_and(|seen| (seen - point).norm() < off),
+            (None, Some(scan)) => scan.nearest::<1>(point).iter().any(|(_, squared)| *squared < off * off),
+            (None, None) => true,
         }
     }
 
@@ -362,17 +364,21 @@ fn check_pixel(observation: &Observation, pixel: Option<Pixel>) -> Result<(), Er
     Err(Error::invalid("pixel", expected, format!("{},{}", pixel.u, pixel.v)))
 }
 
-/// Points of an observation, by pixel.
-trait PointAt {
-    /// The point measured at a pixel of the object.
-    fn point_at(&self, pixel: Pixel) -> Option<Point3<f32>>;
+/// The point measured at a pixel of the object.
+fn point_at(observation: &Observation, pixel: Pixel) -> Option<Point3<f32>> {
+    match observation {
+        Observation::Cloud { points } => points.get(pixel.u as usize).copied().filter(is_measured),
+        Observation::Image { .. } => seen_point(observation, pixel),
+    }
 }
 
-impl PointAt for Observation {
-    fn point_at(&self, pixel: Pixel) -> Option<Point3<f32>> {
-        match self {
-            Self::Cloud { points } => points.get(pixel.u as usize).copied().filter(is_measured),
-            Self::Image { .. } => crate::dense::seen_point(self, pixel),
+/// All points measured on the object, by pixel.
+fn measured(observation: &Observation) -> Vec<(Pixel, Point3<f32>)> {
+    match observation {
+        Observation::Cloud { points } => {
+            let pixels = (0..).map(|u| Pixel { u, v: 0 });
+            pixels.zip(points.iter().copied()).filter(|(_, point)| is_measured(point)).collect()
         }
+        Observation::Image { .. } => observation.foreground_points(),
     }
 }

@@ -2,13 +2,16 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Matrix3, Point3};
-use where2act_core::{Grasp, ImageSize, Intrinsics, Observation, Orientation6, Pixel, Primitive};
+use where2act_core::{
+    Grasp, ImageSize, Intrinsics, Observation, Orientation6, Pixel, Primitive, is_measured,
+};
 use where2act_model::preprocess::CloudInput;
 use where2act_model::{Heads, LinearLayer, ModelConfig, hand_frame};
 
 use crate::backbone::{Backbone, NetworkInput};
 use crate::decode::sigmoid;
 use crate::dense::on_object;
+use crate::nearest::NearestIndex;
 use crate::predictor::Predictor;
 use crate::prepare::Prepared;
 use crate::{Error, Options};
@@ -72,7 +75,15 @@ impl Predictor {
         let prepare = |observation| Prepared::new(observation, &self.config, &self.model().name, &options);
         let prepared = prepare(observation)?;
         let mut scores = vec![None; hands.len()];
-        let seen = hands.iter().map(|(primitive, grasp)| seen(observation, &prepared, *primitive, grasp));
+        let scan = match observation {
+            Observation::Cloud { points } => {
+                Some(NearestIndex::new(points.iter().copied().filter(is_measured).collect()))
+            }
+            Observation::Image { .. } => None,
+        };
+        let prepared_and_scan = (&prepared, scan.as_ref());
+        let seen =
+            hands.iter().map(|(primitive, grasp)| seen(observation, prepared_and_scan, *primitive, grasp));
         let (slots, asked): (Vec<_>, Vec<Asked>) =
             scores.iter_mut().zip(outputs).zip(seen).filter_map(|(slot, asked)| Some((slot, asked?))).unzip();
         if asked.is_empty() {
@@ -95,7 +106,7 @@ impl Predictor {
 /// The hand, if it touches what is seen.
 fn seen(
     observation: &Observation,
-    prepared: &Prepared<'_>,
+    (prepared, scan): (&Prepared<'_>, Option<&NearestIndex>),
     primitive: Primitive,
     grasp: &Grasp,
 ) -> Option<Asked> {
@@ -111,7 +122,7 @@ fn seen(
         }
         Observation::Cloud { .. } => Pixel { u: 0, v: 0 },
     };
-    let shown = prepared.shows(observation, &point, pixel, FROM_SURFACE);
+    let shown = prepared.shows(scan, &point, pixel, FROM_SURFACE);
     shown.then(|| Asked { primitive, point, orientation: Orientation6::from_rotation(&rotation), pixel })
 }
 
@@ -228,7 +239,7 @@ fn mirrored_point(point: &Point3<f32>) -> Point3<f32> {
 mod tests {
     use burn::tensor::Device;
     use nalgebra::{Rotation3, Vector3};
-    use where2act_core::{Proposal, Seed};
+    use where2act_core::Seed;
     use where2act_model::{Modality, Network, Weights};
 
     use super::*;
@@ -290,9 +301,8 @@ mod tests {
         options: &Options,
     ) -> Vec<((Primitive, Grasp), f32)> {
         let prediction = predictor.predict(seen, &Options { clearance: false, ..options.clone() }).unwrap();
-        let hand = |p: &Proposal| Grasp::new(p.point.unwrap().into(), p.approach.into(), p.forward.into());
         let of = prediction.primitives.iter();
-        of.flat_map(|of| of.proposals.iter().map(|p| ((of.primitive, hand(p)), p.score))).collect()
+        of.flat_map(|of| of.proposals.iter().map(|p| ((of.primitive, p.grasp().unwrap()), p.score))).collect()
     }
 
     #[test]
@@ -310,7 +320,8 @@ mod tests {
                     let orientation = Orientation6::from_rotation(rotation).mirrored(*primitive);
                     let reflected =
                         Grasp { point: mirrored_point(point), rotation: orientation.to_rotation() };
-                    seen(view, &prepared, *primitive, if mirror { &reflected } else { grasp }).unwrap()
+                    seen(view, (&prepared, None), *primitive, if mirror { &reflected } else { grasp })
+                        .unwrap()
                 };
                 let asked: Vec<Asked> = hands.iter().map(asked).collect();
                 let all = predictor.scoring.logits(&predictor.backbone, &predictor.config, &prepared, &asked);

@@ -127,11 +127,11 @@ fn json() {
 fn overlay() {
     let observation = observation();
     let prediction = prediction();
-    let picture = draw_overlay(&observation, &maps(&observation), &prediction.primitives[0]);
+    let picture = draw_overlay(&maps(&observation), &prediction.primitives[0]);
     snapshot("overlay.txt", &coarse(&picture), alike);
     if let Some(folder) = std::env::var_os("UPDATE_SNAPSHOTS_PICTURES") {
         picture.save(Path::new(&folder).join("overlay.png")).unwrap();
-        let sheet = draw_sheet(&observation, &maps(&observation), &prediction);
+        let sheet = draw_sheet(&maps(&observation), &prediction);
         sheet.save(Path::new(&folder).join("sheet.png")).unwrap();
     }
 }
@@ -141,7 +141,7 @@ fn heat_is_where_the_map_is_and_the_hand_points_along_the_approach() {
     let observation = observation();
     let mut prediction = prediction();
     let bare = PrimitivePrediction { proposals: vec![], ..prediction.primitives[0].clone() };
-    let heat = draw_overlay(&observation, &maps(&observation), &bare);
+    let heat = draw_overlay(&maps(&observation), &bare);
     // 640 pixels for 160, below a title of 40.
     let at = |picture: &image::RgbImage, u: u32, v: u32| {
         picture.get_pixel(u * 4 + 2, 40 + v * 4 + 2).0.map(i32::from)
@@ -156,7 +156,7 @@ fn heat_is_where_the_map_is_and_the_hand_points_along_the_approach() {
         rank: 1,
         ..proposal(Primitive::Pulling, Pixel { u: 80, v: 60 }, None, &rotation, (0.5, 0.5))
     }];
-    let drawn = draw_overlay(&observation, &maps(&observation), &prediction.primitives[0]);
+    let drawn = draw_overlay(&maps(&observation), &prediction.primitives[0]);
     let changed =
         |range: std::ops::Range<u32>| range.filter(|&u| at(&drawn, u, 60) != at(&heat, u, 60)).count();
     assert!(changed(60..78) > 10, "{}", changed(60..78));

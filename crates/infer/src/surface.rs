@@ -1,7 +1,7 @@
 //! What the seen points say about the surface: where it is at a pixel and which way it faces.
 
 use nalgebra::{Matrix3, Point3, SymmetricEigen, Vector3};
-use where2act_core::{ImageSize, Intrinsics, Observation, Pixel};
+use where2act_core::{ImageSize, Intrinsics, Observation, Pixel, is_measured_depth};
 
 /// Fewest points that span a plane worth believing.
 const MIN_POINTS: usize = 6;
@@ -108,7 +108,7 @@ impl DepthView<'_> {
     fn depth_at(&self, u: i64, v: i64) -> Option<f32> {
         let inside = (0..self.size.width as i64).contains(&u) && (0..self.size.height as i64).contains(&v);
         let z = inside.then(|| self.depth.get(v as usize * self.size.width + u as usize)).flatten()?;
-        (*z > 0.0 && z.is_finite()).then_some(*z)
+        is_measured_depth(*z).then_some(*z)
     }
 
     /// Visits pixels with depth, every `step`-th in each direction, up to `half` from one (columns, rows).

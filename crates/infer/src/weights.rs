@@ -9,8 +9,9 @@ use crate::Error;
 /// The weights folder for a kind of input.
 ///
 /// `given` is a weights folder itself (then it is returned as it is) or a folder with `rgb` and `cloud` in it.
-/// Without it, `weights` is looked for in the working directory, beside the executable and above it (where
-/// `cargo run` and `cargo install --path` leave it), and in the workspace this crate was built from.
+/// Without it, `weights` is looked for in the working directory, beside the executable and up to two folders above it (where
+/// `cargo run` finds the workspace's), and in the workspace this crate was built from, if that is still there. A program that
+/// is moved elsewhere is better built with `bundled-weights`.
 ///
 /// # Errors
 /// [`Error::NoWeights`] lists where it was looked for.

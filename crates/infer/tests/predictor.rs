@@ -1,6 +1,6 @@
 //! The library with small random networks: what holds for any weights.
 
-use nalgebra::{Matrix3, Matrix4, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use where2act_core::{
     GRIPPER, Grasp, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing,
 };
@@ -147,8 +147,7 @@ fn poses_come_back_in_the_inputs_metres_whatever_its_size_and_place() {
             let rotation = Matrix3::from(p.rotation).transpose();
             assert!((rotation.determinant() - 1.0).abs() < 1e-4);
             assert!((rotation.column(2) - approach).norm() < 1e-6);
-            let start = p.waypoints[0];
-            let flange = Point3::new(start[0][3], start[1][3], start[2][3]);
+            let flange = Point3::from(p.poses().next().unwrap().translation.vector);
             // The hand is as large as it is: 0.15 m before the contact.
             assert!(((flange - point).norm() - 0.15).abs() < 1e-4 * (1.0 + distance));
             proposals += 1;
@@ -307,7 +306,7 @@ fn what_is_smaller_than_a_pixel_of_the_network_is_found() {
     let mut ends = seen(None, Some(on(&[0, 900 * 699 + 899]))).unwrap();
     ends.sort_unstable();
     assert_eq!(ends, [[(0, 0); 6], [(899, 699); 6]].concat());
-    let none = |what: &str| Err(format!("{what}: expected pixels of the object, found none"));
+    let none = |what: &str| Err(format!("{what}: expected pixels or points of the object, found none"));
     assert_eq!(seen(Some(on(&[])), None), none("mask"));
     assert_eq!(seen(Some(on(&[])), corner()), none("mask"));
     assert_eq!(seen(None, Some(on(&[]))), none("region"));
@@ -327,8 +326,8 @@ fn step() -> Observation {
 fn hands_that_begin_in_what_is_seen_are_left_out() {
     let observation = step();
     let points = observation.foreground_points();
-    let in_palm = |pose: &[[f32; 4]; 4]| {
-        let pose = Matrix4::from(*pose).transpose().try_inverse().unwrap();
+    let in_palm = |pose: &Isometry3<f32>| {
+        let pose = pose.inverse();
         let (low, high) = (GRIPPER.hand_min, GRIPPER.hand_max);
         let inside = |p: Point3<f32>| (0..3).all(|i| (low[i] + 0.002..high[i] - 0.002).contains(&p[i]));
         points.iter().filter(|(_, point)| inside(pose.transform_point(point))).count()
@@ -343,7 +342,7 @@ fn hands_that_begin_in_what_is_seen_are_left_out() {
             let prediction = predictor.predict(&observation, &options).unwrap();
             let hands: Vec<_> = prediction.primitives.iter().flat_map(|p| &p.proposals).collect();
             assert!(hands.len() > 500, "{i}: {}", hands.len());
-            hands.iter().filter(|hand| in_palm(&hand.hand_pose.unwrap()) > 1).count()
+            hands.iter().filter(|hand| in_palm(&hand.poses().next().unwrap()) > 1).count()
         };
         assert!(crowded(false) > 10 && crowded(true) == 0, "{i}");
     }
@@ -357,8 +356,8 @@ fn hands_that_begin_in_what_is_seen_are_left_out() {
         let prediction = untimed(predictors[0].predict(observation, &all(clearance)).unwrap());
         prediction.primitives.into_iter().flat_map(|p| p.proposals).collect::<Vec<_>>()
     };
-    assert!(hands(&masked, true).iter().all(|hand| in_palm(&hand.hand_pose.unwrap()) < 2));
-    assert!(hands(&masked, false).iter().any(|hand| in_palm(&hand.hand_pose.unwrap()) > 1));
+    assert!(hands(&masked, true).iter().all(|hand| in_palm(&hand.poses().next().unwrap()) < 2));
+    assert!(hands(&masked, false).iter().any(|hand| in_palm(&hand.poses().next().unwrap()) > 1));
     assert_eq!(hands(&unknown, true), hands(&unknown, false));
     let kind = |observation| predictors[0].predict(observation, &all(true)).unwrap().input.kind;
     assert_eq!((kind(&masked).as_str(), kind(&unknown).as_str()), ("rgbd", "rgb"));
@@ -407,6 +406,61 @@ fn the_very_point_that_was_asked_for_answers() {
 }
 
 #[test]
+fn a_region_between_the_network_s_points_is_found() {
+    // As above: five of six of the scan's points are none of the network's.
+    let predictor = predictor(Modality::Cloud);
+    let points = ball(6000, 0.5, 2.0);
+    let scan = Observation::Cloud { points: points.clone() };
+    let size = ImageSize::square(96);
+    let depth = Some((0..size.pixels()).map(|i| 2.0 + (i % 96) as f32 * 1e-3).collect());
+    let intrinsics = Some(Intrinsics::from_fov(size, 0.5));
+    let map = Observation::Image { size, rgb: None, depth, intrinsics, mask: None };
+    for (observation, length) in [(&scan, points.len()), (&map, size.pixels())] {
+        for first in 3000..3008 {
+            let region = Some((0..length).map(|i| (first..first + 3).contains(&i)).collect());
+            let options = Options { region, clearance: false, ..Options::default() };
+            let prediction = predictor.predict(observation, &options).unwrap();
+            // All of a random network's hands may come out of the surface.
+            let proposals: Vec<_> = prediction.primitives.iter().flat_map(|of| &of.proposals).collect();
+            assert!(proposals.len() > 2, "{first}: {}", proposals.len());
+            for best in proposals {
+                let at = best.pixel.v as usize * 96 + best.pixel.u as usize;
+                assert!((first..first + 3).contains(&at), "{first}: {at}");
+                let there = match observation {
+                    Observation::Cloud { points } => points[at],
+                    Observation::Image { .. } => {
+                        intrinsics.unwrap().pixel_to_point(best.pixel, 2.0 + best.pixel.u as f32 * 1e-3)
+                    }
+                };
+                assert!((Point3::from(best.point.unwrap()) - there).norm() < 1e-5);
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_infinitely_far_away_is_not_seen() {
+    // As renderers write what no surface covers; the object fills the left half.
+    let size = ImageSize::square(64);
+    let depth: Vec<f32> = (0..size.pixels()).map(|i| if i % 64 < 32 { 2.0 } else { 1e10 }).collect();
+    let intrinsics = Some(Intrinsics::from_fov(size, 0.5));
+    for (modality, rgb) in [(Modality::Cloud, None), (Modality::Rgb, Some(vec![[90; 3]; size.pixels()]))] {
+        let predictor = predictor(modality);
+        let observation =
+            Observation::Image { size, rgb, depth: Some(depth.clone()), intrinsics, mask: None };
+        let Output { prediction, maps } = predictor.predict_dense(&observation, &Options::default()).unwrap();
+        for p in prediction.primitives.iter().flat_map(|of| &of.proposals) {
+            assert!(p.pixel.u < 36 && p.point.unwrap()[2] == 2.0, "{:?}", p.point);
+        }
+        if modality == Modality::Cloud {
+            assert!((0..64).all(|u| maps.at(Primitive::Pushing, u as f32, 9.0).is_some() == (u < 32)));
+        }
+        let background = Options { pixel: Some(Pixel { u: 60, v: 9 }), ..Options::default() };
+        assert!(modality == Modality::Rgb || predictor.predict(&observation, &background).is_err());
+    }
+}
+
+#[test]
 fn as_many_proposals_as_are_asked_for() {
     let options =
         Options { top_k: 60, primitives: vec![Primitive::Pushing], clearance: false, ..Options::default() };
@@ -439,6 +493,8 @@ fn what_is_of_no_use_is_refused_by_name() {
     says(rgb.predict(&picture(8, 8), &elsewhere), &["pixel", "below 8", "8,0"]);
     let many = Options { samples: usize::MAX, ..Options::default() };
     says(rgb.predict(&picture(8, 8), &many), &["samples"]);
+    let too_many = Options { samples: 10_000, candidates: 101, ..Options::default() };
+    says(rgb.predict(&picture(8, 8), &too_many), &["samples", "1000000", "1010000"]);
 
     let size = ImageSize::square(8);
     let intrinsics = Some(Intrinsics::from_fov(size, 0.6));
@@ -480,7 +536,7 @@ fn points_beside_the_camera_spoil_no_drawing() {
     let scan = Observation::Cloud { points };
     let predictor = predictor(Modality::Cloud);
     let Output { prediction, maps } = predictor.predict_dense(&scan, &Options::default()).unwrap();
-    let overlay = draw_overlay(&scan, &maps, &prediction.primitives[0]);
+    let overlay = draw_overlay(&maps, &prediction.primitives[0]);
     assert!(overlay.pixels().filter(|pixel| pixel.0 != [255; 3]).count() > 10_000);
 }
 

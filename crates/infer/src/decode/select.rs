@@ -1,7 +1,7 @@
 //! From all scored orientations to the few a caller sees.
 
 use std::cmp::{Ordering, Reverse};
-use std::collections::BinaryHeap;
+use std::collections::{BinaryHeap, HashMap};
 
 use nalgebra::Rotation3;
 use where2act_core::Pixel;
@@ -29,13 +29,14 @@ pub(crate) fn select(all: &[Scored], options: &Options, fits: impl Fn(&Scored) -
     let good = all.iter().enumerate().filter(|(_, scored)| scored.score >= options.min_score);
     let mut best: BinaryHeap<Ranked<'_>> = good.map(|(i, scored)| Ranked(scored, Reverse(i))).collect();
     let mut chosen: Vec<Scored> = Vec::new();
+    let mut by_pixel: HashMap<Pixel, Vec<Rotation3<f32>>> = HashMap::new();
     while chosen.len() < options.top_k
         && let Some(Ranked(&scored, _)) = best.pop()
     {
-        let mut here = chosen.iter().filter(|c| c.pixel == scored.pixel);
-        let full = here.clone().count() >= per_pixel;
-        let other = here.all(|c| c.rotation.angle_to(&scored.rotation) >= Options::MIN_ANGLE);
-        if !full && other && fits(&scored) {
+        let here = by_pixel.entry(scored.pixel).or_default();
+        let other = |rotation: &Rotation3<f32>| rotation.angle_to(&scored.rotation) >= Options::MIN_ANGLE;
+        if here.len() < per_pixel && here.iter().all(other) && fits(&scored) {
+            here.push(scored.rotation);
             chosen.push(scored);
         }
     }

@@ -14,8 +14,10 @@ pub(crate) fn heat_opacity(value: f32) -> u8 {
     (255.0 * (0.08 + 0.72 * value.clamp(0.0, 1.0).sqrt())) as u8
 }
 
-/// The upper end of a colour bar for maps that reach `max`: 1, 0.5, 0.2, 0.1, ... so that bars can be compared.
-pub(crate) fn bar_end(max: f32) -> f32 {
+/// The value that has the last colour, where a map reaches `max`: the next of 1, 0.5, 0.2, 0.1, ... 0.0001, so that the colours
+/// of few different scales are to be compared.
+#[must_use]
+pub fn heat_end(max: f32) -> f32 {
     let steps = [1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5];
     steps.into_iter().find(|s| max <= *s).unwrap_or(1.0)
 }
@@ -25,10 +27,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bars_end_just_above_the_map() {
-        assert_eq!(bar_end(0.7), 1.0);
-        assert_eq!(bar_end(0.07), 0.1);
-        assert_eq!(bar_end(f32::NAN), 1.0);
+    fn bars_end_at_the_next_of_few_numbers() {
+        assert_eq!([heat_end(0.51), heat_end(1.0), heat_end(0.5), heat_end(0.0)], [1.0, 1.0, 0.5, 1e-4]);
+        assert_eq!(heat_end(0.07), 0.1);
+        assert_eq!(heat_end(f32::NAN), 1.0);
     }
 
     #[test]

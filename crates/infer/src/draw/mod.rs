@@ -9,6 +9,6 @@ mod sheet;
 mod splat;
 mod view;
 
-pub use heat::heat_colour;
+pub use heat::{heat_colour, heat_end};
 pub use overlay::draw_overlay;
 pub use sheet::draw_sheet;

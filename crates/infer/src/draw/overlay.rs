@@ -2,11 +2,11 @@
 
 use image::RgbImage;
 use rayon::prelude::*;
-use where2act_core::{Observation, Primitive, PrimitivePrediction, Proposal};
+use where2act_core::{Primitive, PrimitivePrediction, Proposal};
 
 use super::canvas::{Canvas, Rgba, label_extent, text_width};
 use super::hand::draw_hand;
-use super::heat::{bar_end, heat_colour, heat_opacity};
+use super::heat::{heat_colour, heat_end, heat_opacity};
 use super::labels::Taken;
 use super::view::{Spot, View};
 use crate::DenseMaps;
@@ -25,13 +25,14 @@ const HANDS: usize = 3;
 /// Share of the picture's longer side that 0.1 m of a hand takes at least.
 const HAND_SHARE: f32 = 0.09;
 
-/// Draws what a prediction says about one primitive over the observation it was made for.
+/// Draws what a prediction says about one primitive over the observation it was made for; `maps` are those of that prediction.
 ///
-/// Heat is actionability (the colour bar ends just above the map's maximum), the white hand is the best proposal,
-/// grey ones come next, dots are the rest; the arrow is the motion after contact, numbers are scores.
+/// Heat is actionability, by a colour bar that ends at [`heat_end`] of the map's maximum; the white hand is the best proposal,
+/// grey ones come next, dots are the rest; the arrow is the motion after contact, numbers are scores. Hands are drawn so large
+/// that they can be seen: at least 9 % of the picture's longer side for 0.1 m, and without depth always that.
 #[must_use]
-pub fn draw_overlay(observation: &Observation, maps: &DenseMaps<'_>, of: &PrimitivePrediction) -> RgbImage {
-    overlay(&View::new(observation), maps, of).map(Canvas::into_rgb).unwrap_or_default()
+pub fn draw_overlay(maps: &DenseMaps<'_>, of: &PrimitivePrediction) -> RgbImage {
+    overlay(&View::new(maps.observation), maps, of).map(Canvas::into_rgb).unwrap_or_default()
 }
 
 /// Size of every overlay of a view.
@@ -42,7 +43,7 @@ pub(crate) fn overlay_size(view: &View) -> (usize, usize) {
 pub(crate) fn overlay(view: &View, maps: &DenseMaps<'_>, of: &PrimitivePrediction) -> Option<Canvas> {
     let (width, height) = overlay_size(view);
     let mut canvas = Canvas::new(width, height, PAPER)?;
-    let end = bar_end(of.actionability.max);
+    let end = heat_end(of.actionability.max);
     let mut picture = view.canvas(true)?;
     paint_heat(&mut picture, view, maps, of.primitive, end);
     draw_proposals(&mut picture, view, of);
@@ -50,7 +51,8 @@ pub(crate) fn overlay(view: &View, maps: &DenseMaps<'_>, of: &PrimitivePredictio
     draw_bar(&mut canvas, view, end);
 
     canvas.text((8.0, 6.0), 26.0, INK, of.primitive.name());
-    let best = of.proposals.first().map_or("no proposal".to_owned(), |p| format!("best {:.2}", p.score));
+    let best =
+        of.proposals.first().map_or("no proposal".to_owned(), |p| format!("best {}", two_digits(p.score)));
     let at = (width as f32 - text_width(&best, 20.0) - 10.0, 10.0);
     canvas.text(at, 20.0, INK, &best);
     Some(canvas)
@@ -92,11 +94,16 @@ fn draw_proposals(canvas: &mut Canvas, view: &View, of: &PrimitivePrediction) {
     }
     let extent = (canvas.width() as f32, canvas.height() as f32);
     for proposal in of.proposals.iter().take(HANDS) {
-        let text = format!("{} {:.2}", proposal.rank, proposal.score);
+        let text = format!("{} {}", proposal.rank, two_digits(proposal.score));
         let size = label_extent(&text, LABEL_SIZE);
         let corner = taken.place(centre(proposal), size, 0.3 * span, extent);
         canvas.label(corner, LABEL_SIZE, &text, INK, LABEL_GROUND);
     }
+}
+
+/// A score as pictures show it, rounded down: none of them is certain.
+fn two_digits(score: f32) -> String {
+    format!("{:.2}", (100.0 * score).floor() / 100.0)
 }
 
 fn draw_bar(canvas: &mut Canvas, view: &View, end: f32) {

@@ -1,7 +1,7 @@
 //! The contact sheet: the input, every primitive's overlay, and how to read them, on one page.
 
 use image::RgbImage;
-use where2act_core::{Observation, Prediction};
+use where2act_core::Prediction;
 
 use super::canvas::{Canvas, Rgba, text_width};
 use super::overlay::{INK, PAPER, overlay, overlay_size};
@@ -12,14 +12,14 @@ const FAINT: Rgba = [95, 105, 120, 255];
 const HEADER: usize = 70;
 const GAP: usize = 18;
 
-/// Draws the contact sheet of a prediction over the observation it was made for.
+/// Draws the contact sheet of a prediction over the observation it was made for; `maps` are those of that prediction.
 #[must_use]
-pub fn draw_sheet(observation: &Observation, maps: &DenseMaps<'_>, prediction: &Prediction) -> RgbImage {
-    sheet(observation, maps, prediction).map(Canvas::into_rgb).unwrap_or_default()
+pub fn draw_sheet(maps: &DenseMaps<'_>, prediction: &Prediction) -> RgbImage {
+    sheet(maps, prediction).map(Canvas::into_rgb).unwrap_or_default()
 }
 
-fn sheet(observation: &Observation, maps: &DenseMaps<'_>, prediction: &Prediction) -> Option<Canvas> {
-    let view = View::new(observation);
+fn sheet(maps: &DenseMaps<'_>, prediction: &Prediction) -> Option<Canvas> {
+    let view = View::new(maps.observation);
     let (cell_width, cell_height) = overlay_size(&view);
     let cells = prediction.primitives.len() + 2;
     let columns = if cells <= 4 { cells } else { cells.div_ceil(2).min(4) };
@@ -44,23 +44,25 @@ fn sheet(observation: &Observation, maps: &DenseMaps<'_>, prediction: &Predictio
         canvas.paste(&overlay(&view, maps, of)?, x as i32, y as i32);
     }
     let (x, y) = at(cells - 1);
-    legend(&mut canvas, (x as f32 + 8.0, y as f32 + 6.0));
+    legend(&mut canvas, (x as f32 + 8.0, y as f32 + 6.0), view.lens.intrinsics.is_some());
     Some(canvas)
 }
 
-fn legend(canvas: &mut Canvas, (x, y): (f32, f32)) {
+fn legend(canvas: &mut Canvas, (x, y): (f32, f32), has_points: bool) {
     canvas.text((x, y), 26.0, INK, "how to read");
+    let size = if has_points { "        (larger than they are)" } else { "        (how large is not known)" };
     let lines = [
         "colour: how actionable a place is",
-        "        (the bar ends near the map's",
-        "        maximum: compare the numbers)",
-        "",
+        "        (bars end at 1, 0.5, 0.2, ...:",
+        "        compare their numbers)",
         "white hand: the best proposal",
         "grey hands: the next two",
+        size,
         "dots: the other proposals",
         "magenta arrow: motion after contact",
         "magenta disc: where the hand touches",
         "1 0.93: rank, score",
+        "        (no rate of success)",
     ];
     for (i, line) in lines.iter().enumerate() {
         canvas.text((x, y + 50.0 + 32.0 * i as f32), 23.0, FAINT, line);

@@ -1,7 +1,7 @@
 //! What overlays are drawn on: the input as a picture of a size that screens show.
 
 use nalgebra::Point3;
-use where2act_core::{ImageSize, Intrinsics, Observation, Pixel};
+use where2act_core::{ImageSize, Intrinsics, Observation, Pixel, is_measured_depth};
 
 use super::canvas::{Canvas, Xy};
 use super::splat::{NOTHING, splat};
@@ -153,7 +153,7 @@ fn resize(source: &[[u8; 3]], from: ImageSize, to: ImageSize) -> Vec<[u8; 3]> {
 
 /// A depth map as a picture: near is light, nothing seen is white.
 fn relief(depth: &[f32]) -> Vec<[u8; 3]> {
-    let seen = |z: &f32| *z > 0.0 && z.is_finite();
+    let seen = |z: &f32| is_measured_depth(*z);
     let bounds = depth.iter().filter(|z| seen(z));
     let (low, high) = bounds.fold((f32::INFINITY, 0.0f32), |(l, h), &z| (l.min(z), h.max(z)));
     let grey = |z: &f32| match seen(z) {

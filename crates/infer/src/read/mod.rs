@@ -12,7 +12,7 @@ use std::io::Read;
 use std::path::Path;
 
 use nalgebra::Point3;
-use where2act_model::preprocess::is_measured;
+use where2act_core::is_measured;
 
 pub use npy::{NpyArray, parse_npy};
 pub use pcd::parse_pcd;

@@ -3,9 +3,10 @@
 use std::io::{self, Write};
 
 use nalgebra::Point3;
+use where2act_core::is_measured;
 
-/// Writes points (metres, optical frame) with a colour and a value each, as binary little-endian PLY. Points that are
-/// not finite are left out; viewers stumble over them.
+/// Writes points (metres, optical frame) with a colour and a value each, as binary little-endian PLY. Points that
+/// were not [measured](is_measured) are left out: viewers stumble over numbers that are not finite.
 ///
 /// # Errors
 /// What `to` reports.
@@ -15,15 +16,15 @@ pub fn write_coloured_ply(
     values: &[f32],
     colour: impl Fn(f32) -> [u8; 3],
 ) -> io::Result<()> {
-    let finite = || points.iter().zip(values).filter(|(p, _)| p.iter().all(|x| x.is_finite()));
+    let measured = || points.iter().zip(values).filter(|(p, _)| is_measured(p));
     write!(
         to,
         "ply\nformat binary_little_endian 1.0\ncomment camera_optical, metres\nelement vertex {}\n\
          property float x\nproperty float y\nproperty float z\n\
          property uchar red\nproperty uchar green\nproperty uchar blue\nproperty float actionability\nend_header\n",
-        finite().count()
+        measured().count()
     )?;
-    for (point, &value) in finite() {
+    for (point, &value) in measured() {
         let mut record = [0u8; 19];
         let floats = [point.x, point.y, point.z].map(f32::to_le_bytes).concat();
         let bytes = floats.into_iter().chain(colour(value)).chain(value.to_le_bytes());

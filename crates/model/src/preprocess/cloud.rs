@@ -4,7 +4,7 @@ use nalgebra::Point3;
 use rand::RngExt;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
-use where2act_core::{Observation, Pixel};
+use where2act_core::{Observation, Pixel, is_measured};
 use where2act_kernels::points::{Bounds, Frame, furthest_point_sampling, in_boxes, three_nearest};
 
 use super::PreprocessError;
@@ -38,16 +38,6 @@ pub struct CloudInput {
 
 /// The radius around the mean that holds this share of the points: some flying pixels do not change it.
 const ROBUST_SHARE: f32 = 0.95;
-/// Coordinates beyond this many metres are no measurements.
-const FURTHEST: f32 = 1e6;
-
-/// Whether a point of a scan was measured: it is finite, and it is not (0, 0, 0), which is what organised clouds have where
-/// nothing was seen.
-#[must_use]
-pub fn is_measured(point: &Point3<f32>) -> bool {
-    point.iter().all(|x| x.abs() < FURTHEST) && *point != Point3::origin()
-}
-
 impl CloudInput {
     /// Prepares points in the optical frame, metres. Points that were not [measured](is_measured) are skipped.
     ///

@@ -4,7 +4,7 @@ mod cloud;
 mod image;
 mod resize;
 
-pub use cloud::{CloudInput, CloudScale, is_measured};
+pub use cloud::{CloudInput, CloudScale};
 pub use image::{ImageInput, Letterbox, Window};
 
 use where2act_core::ImageSize;
@@ -25,7 +25,7 @@ pub enum PreprocessError {
     /// The picture has no pixels.
     #[error("the picture is empty")]
     EmptyImage,
-    /// No point was [measured](is_measured) and, where there is a mask, is inside it.
+    /// No point was [measured](where2act_core::is_measured) and, where there is a mask, is inside it.
     #[error("no finite point on the object")]
     NoPoints,
     /// All points are in one place.

@@ -63,8 +63,8 @@ pub(crate) struct Wanted {
     pub(crate) anywhere: bool,
 }
 
-/// The network's best proposals, best first, for each of its primitives. There are none where it sees none of the pixels that
-/// may be; what it proposes where nothing moves is `None`.
+/// The network's best proposals, best first, for each of its primitives. There may be fewer, or none, because hands have
+/// no room; what it proposes where nothing moves is `None`.
 pub(crate) fn proposals(
     predictor: &Predictor,
     prep: &ScenePrep,
@@ -82,12 +82,7 @@ pub(crate) fn proposals(
         ..Options::default()
     };
     let observation = observation(prep, anywhere);
-    let prediction = match predictor.predict(&observation, &options) {
-        Err(Error::Invalid { what: "region", .. }) => {
-            return Ok(predictor.config().primitives.iter().map(|_| Vec::new()).collect());
-        }
-        other => other?,
-    };
+    let prediction = predictor.predict(&observation, &options)?;
     let in_world = |direction: [f32; 3]| prep.view.camera.world_from_camera * Vector3::from(direction);
     let candidate = |p: &Proposal| sampler.at(p.pixel, in_world(p.approach), in_world(p.forward));
     let of_primitives = prediction.primitives.iter();
@@ -197,7 +192,7 @@ mod tests {
     use where2act_sim::collect::{Preparer, Recipe};
 
     #[test]
-    fn a_scene_whose_movable_parts_the_network_does_not_see_has_no_proposals() {
+    fn a_part_of_one_pixel_has_proposals_too() {
         let primitives = [Primitive::Pushing, Primitive::Pulling];
         let config = ModelConfig::new(Modality::Cloud, &primitives).with_points(256);
         let network = Network::new(&config, Seed(1), &burn::tensor::Device::flex());
@@ -222,6 +217,6 @@ mod tests {
         let mut moves: Vec<_> = prep.view.link.iter_mut().filter(|link| **link > 1).collect();
         moves.remove(moves.len() / 2);
         moves.into_iter().for_each(|link| *link = 1);
-        assert_eq!(found(&prep), (0, 0));
+        assert_eq!(found(&prep), (2, 0));
     }
 }

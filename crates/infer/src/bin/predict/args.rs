@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use clap::{Parser, ValueEnum};
 use where2act_core::{Intrinsics, Pixel, Primitive, Seed};
-use where2act_infer::{Backend, Options};
+use where2act_infer::{Backend, Error, Options};
 use where2act_kernels::Isa;
 use where2act_model::EngineError;
 
@@ -190,7 +190,14 @@ impl Args {
             }
             Isa::bf16().ok_or(EngineError::NoBf16).map_err(|e| anyhow::anyhow!("--{e}"))?;
         }
-        self.options().validate().map_err(|e| anyhow::anyhow!("--{e}"))
+        self.options().validate().map_err(|error| match error {
+            Error::Invalid { what, expected, found } => {
+                let flag =
+                    if what == "network_from_metres" { "object-scale" } else { &what.replace('_', "-") };
+                anyhow::anyhow!("--{flag}: expected {expected}, found {found}")
+            }
+            other => other.into(),
+        })
     }
 
     pub(crate) fn backend(&self) -> Backend {

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use image::{ImageFormat, RgbImage};
 use where2act_core::{Observation, Prediction, Primitive, write_whole};
 use where2act_infer::write::{write_coloured_ply, write_npy_grid, write_npy_row};
-use where2act_infer::{Output, draw_overlay, draw_sheet, heat_colour};
+use where2act_infer::{Output, draw_overlay, draw_sheet, heat_colour, heat_end};
 
 /// Writes `prediction.json`, a map and an overlay per primitive, and the contact sheet; for scans also a coloured ply
 /// per primitive. What an earlier prediction left goes first, and the JSON comes last: where it is, everything is.
@@ -30,18 +30,18 @@ pub(crate) fn write(
             Observation::Cloud { points } => {
                 let values = maps.dense(of.primitive);
                 save(&path, |to| write_npy_row(to, &values))?;
-                let top = of.actionability.max.max(1e-6);
+                let end = heat_end(of.actionability.max);
                 let path = folder.join(format!("cloud_{name}.ply"));
-                save(&path, |to| write_coloured_ply(to, points, &values, |v| heat_colour(v / top)))?;
+                save(&path, |to| write_coloured_ply(to, points, &values, |v| heat_colour(v / end)))?;
             }
         }
         of.actionability.map = Some(map);
         if !no_pictures {
-            save_png(&folder.join(format!("overlay_{name}.png")), &draw_overlay(observation, maps, of))?;
+            save_png(&folder.join(format!("overlay_{name}.png")), &draw_overlay(maps, of))?;
         }
     }
     if !no_pictures {
-        save_png(&folder.join("sheet.png"), &draw_sheet(observation, maps, prediction))?;
+        save_png(&folder.join("sheet.png"), &draw_sheet(maps, prediction))?;
     }
     let json = serde_json::to_vec_pretty(prediction).context("prediction.json")?;
     save(&folder.join("prediction.json"), |to| to.write_all(&json))
@@ -96,18 +96,23 @@ pub(crate) fn table(
     folder: Option<&Path>,
 ) -> io::Result<()> {
     let (i, t) = (&prediction.input, &prediction.timing);
+    let at = if i.kind == "cloud" { "point" } else { "pixel" };
     writeln!(to, "{} ({}, {} x {}): {:.0} ms", input.display(), i.kind, i.width, i.height, t.total)?;
-    writeln!(to, "  primitive     actionable max/mean  best  at pixel     approach              point [m]")?;
+    writeln!(to, "  primitive     actionable max/mean   best  at {at:<8} approach              point [m]")?;
     for of in &prediction.primitives {
         let a = &of.actionability;
         write!(to, "  {:<13} {:>10.3} / {:<7.3}", of.primitive.name(), a.max, a.mean)?;
         match of.proposals.first() {
-            None => writeln!(to, "    -  no proposal")?,
+            None => writeln!(to, "     -  no proposal")?,
             Some(p) => {
-                let pixel = format!("{},{}", p.pixel.u, p.pixel.v);
+                let pixel = if i.kind == "cloud" {
+                    p.pixel.u.to_string()
+                } else {
+                    format!("{},{}", p.pixel.u, p.pixel.v)
+                };
                 let vector = |v: [f32; 3]| v.map(|x| format!("{x:>6.2}")).join(" ");
                 let point = p.point.map_or("-".to_owned(), vector);
-                writeln!(to, " {:>5.2}  {pixel:<11} {}  {point}", p.score, vector(p.approach))?;
+                writeln!(to, " {:>6.3}  {pixel:<11} {}  {point}", p.score, vector(p.approach))?;
             }
         }
     }
