@@ -34,7 +34,7 @@ mod trial;
 /// The version whose points and transforms the public types have.
 pub use nalgebra;
 
-pub use artifact::{sha256_hex, write_whole};
+pub use artifact::{sha256_hex, write_together, write_whole};
 pub use camera::{Camera, ImageSize, Intrinsics, Pixel};
 pub use category::{Category, Split, UnknownCategory};
 pub use gripper::{GRIPPER, GripperGeometry};

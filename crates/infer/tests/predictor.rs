@@ -413,8 +413,8 @@ fn a_region_between_the_network_s_points_is_found() {
     let scan = Observation::Cloud { points: points.clone() };
     let size = ImageSize::square(96);
     let depth = Some((0..size.pixels()).map(|i| 2.0 + (i % 96) as f32 * 1e-3).collect());
-    let intrinsics = Some(Intrinsics::from_fov(size, 0.5));
-    let map = Observation::Image { size, rgb: None, depth, intrinsics, mask: None };
+    let camera = Intrinsics::from_fov(size, 0.5);
+    let map = Observation::Image { size, rgb: None, depth, intrinsics: Some(camera), mask: None };
     for (observation, length) in [(&scan, points.len()), (&map, size.pixels())] {
         for first in 3000..3008 {
             let region = Some((0..length).map(|i| (first..first + 3).contains(&i)).collect());
@@ -429,7 +429,7 @@ fn a_region_between_the_network_s_points_is_found() {
                 let there = match observation {
                     Observation::Cloud { points } => points[at],
                     Observation::Image { .. } => {
-                        intrinsics.unwrap().pixel_to_point(best.pixel, 2.0 + best.pixel.u as f32 * 1e-3)
+                        camera.pixel_to_point(best.pixel, 2.0 + best.pixel.u as f32 * 1e-3)
                     }
                 };
                 assert!((Point3::from(best.point.unwrap()) - there).norm() < 1e-5);

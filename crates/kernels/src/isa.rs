@@ -60,7 +60,7 @@ impl Isa {
     /// AVX-512 with products of bf16: convolutions round what they multiply to 8 bits and add in f32. `None` where the
     /// processor does not have it or [`Self::best`] is something narrower.
     ///
-    /// A Zen 4 of AMD does twice as many of these products a second as of f32, a Xeon of Intel with tiles for bf16 no more
+    /// A Zen 5 of AMD does twice as many of these products a second as of f32, a Xeon of Intel with tiles for bf16 no more
     /// (both measured).
     pub fn bf16() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]

@@ -36,7 +36,7 @@ pub use heads::{
     rotation_matrix, to_axes,
 };
 pub use init::draw_weights;
-pub use network::{Backbone, Input, Network, gather};
+pub use network::{Backbone, Input, Network};
 #[cfg(feature = "train")]
 pub use ops::TrainingEngine;
 pub use pointnet::{

@@ -70,15 +70,6 @@ impl Network {
         &self.config
     }
 
-    /// The same weights under another description that has the same shapes, e.g. another name or other numbers of the
-    /// preprocessing.
-    #[must_use]
-    pub fn with_config(self, change: impl FnOnce(&mut ModelConfig)) -> Self {
-        let mut config = self.config.clone();
-        change(&mut config);
-        Self { config, ..self }
-    }
-
     /// The same network with every score's logit moved: by one number per primitive. Which of two proposals of a
     /// primitive is the better one does not change, where the score passes 0.5 does.
     #[must_use]
@@ -165,18 +156,4 @@ impl Network {
             (Backbone::PointNet2(_), Input::Images(_)) => panic!("a network for clouds was given pictures"),
         }
     }
-}
-
-/// Features at queries, from those of all pixels or points.
-///
-/// # Shapes
-/// - `features`: `[b, n, features]`
-/// - `queries`: q pairs (view in the batch, row-major pixel or point index)
-/// - output: `[q, features]`
-#[must_use]
-pub fn gather(features: Tensor<3>, queries: &[(usize, usize)]) -> Tensor<2> {
-    let [b, n, f] = features.dims();
-    let device = features.device();
-    let rows = queries.iter().map(|&(view, i)| (view * n + i) as i64).collect();
-    features.reshape([b * n, f]).select(0, crate::pointnet::rows(rows, &device))
 }

@@ -14,10 +14,10 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use image::ImageFormat;
-use nalgebra::{Point3, center};
+use nalgebra::Point3;
 use rand::seq::index;
-use where2act_core::{Camera, ImageSize, Seed, write_whole};
-use where2act_sim::render::{Look, View, render, visible_bounds};
+use where2act_core::{Camera, Seed, write_whole};
+use where2act_sim::render::{Look, View, front_camera, render};
 use where2act_sim::{Scene, SettledScene, object};
 
 /// Points of a scan at most: enough for a network that takes 10,000, in a quarter of a megabyte.
@@ -43,16 +43,8 @@ fn main() -> Result<()> {
 /// From the front, a little to the side and above, at the published distance and field of view.
 fn look_at(scene: &SettledScene) -> View {
     let poses = scene.world_from_links();
-    let (min, max) = visible_bounds(scene.object(), &poses);
-    let azimuth = std::f32::consts::PI + 35f32.to_radians(); // Objects face -x.
-    let camera = Camera::orbit(
-        center(&min, &max),
-        Camera::PUBLISHED_DISTANCE,
-        azimuth,
-        30f32.to_radians(),
-        ImageSize::square(Camera::PUBLISHED_SIDE),
-        Camera::PUBLISHED_FOV,
-    );
+    let camera =
+        front_camera(scene.object(), &poses, [35.0, 30.0].map(f32::to_radians), Camera::PUBLISHED_SIDE);
     render(scene.object(), &poses, &camera, &Look::default())
 }
 

@@ -49,7 +49,7 @@ impl Optimizer for KernelMuon {
         let shape = weight.dims();
         let rows = shape.first().map_or(1, |&rows| rows as i32);
         let gradient: Tensor<2> = gradient.reshape([rows, -1]);
-        let floor = gradient.clone().abs().mean().mul_scalar(FLOOR).unsqueeze();
+        let floor = sum(gradient.clone().abs()).mul_scalar(FLOOR / shape.iter().product::<usize>() as f32);
         let (direction, momentum) = self.momentum.transform(gradient + floor, state.map(|s| s.momentum));
         let [rows, columns] = direction.dims();
         let length = rate * RATE * (rows.max(columns) as f64).sqrt();
@@ -72,7 +72,7 @@ fn orthogonal(x: Tensor<2>) -> Tensor<2> {
     if rows > columns {
         return orthogonal(x.transpose()).transpose();
     }
-    let norm = x.clone().square().sum().sqrt().clamp_min(1e-7).unsqueeze();
+    let norm = sum(x.clone().square()).sqrt().clamp_min(1e-7);
     let x = x / norm;
     let [a, b, c] = QUINTIC;
     let polynomial = |g: &Tensor<2>| {
@@ -88,6 +88,12 @@ fn orthogonal(x: Tensor<2>) -> Tensor<2> {
         q = p.clone().matmul(q);
     }
     q.matmul(x)
+}
+
+/// The sum of a matrix, `[1, 1]`, row by row: backends may spread the sum of very many numbers over threads as they happen to be
+/// free, and then it is not the same bits twice.
+fn sum(x: Tensor<2>) -> Tensor<2> {
+    x.sum_dim(1).sum_dim(0)
 }
 
 #[cfg(test)]

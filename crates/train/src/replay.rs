@@ -67,7 +67,7 @@ impl Replay {
     /// Whether there are none.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.held.is_empty()
+        self.held.iter().all(|(_, trials)| trials.is_empty())
     }
 }
 

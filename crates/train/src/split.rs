@@ -35,8 +35,13 @@ impl Part {
         if seed.is_some_and(|seed: u64| ObjectSet::TEST_SEEDS.contains(&seed)) {
             return Self::Shapes;
         }
-        // A hash of the name, not its number: neighbouring seeds spread evenly.
-        let digest = sha256_hex(object.as_bytes());
+        // A hash of the name, not its number: neighbouring seeds spread evenly. `Box/31`, which is `31` to whoever names the
+        // folder `Box`, is one object.
+        let bare = seed.is_none() && !object.contains('/');
+        let digest = match category {
+            Some(category) if bare => sha256_hex(format!("{category}/{object}").as_bytes()),
+            _ => sha256_hex(object.as_bytes()),
+        };
         match u32::from_str_radix(&digest[..8], 16).unwrap_or(0) % 10 {
             0 => Self::Validation,
             1 if seed.is_none() => Self::Shapes,
@@ -79,5 +84,7 @@ mod tests {
         for part in [Part::Train, Part::Validation, Part::Shapes] {
             assert!(parts.contains(&part));
         }
+        let bare: Vec<_> = (0..500).map(|i| Part::of(&i.to_string(), Some(Category::Box))).collect();
+        assert_eq!(bare, parts, "whichever folder collecting was given");
     }
 }

@@ -88,6 +88,13 @@ pub fn first_weights(
             model.width
         );
     }
+    let close = network.config().preprocessing.close_up;
+    if let Some(close) = close.filter(|_| model.preprocessing.close_up.is_none()) {
+        tracing::warn!(
+            "{}: looks at the square around a mask (network.close_up = {close}), this network at whole pictures",
+            folder.display()
+        );
+    }
     learner.network = learner.network.with_tensors_of(&network)?;
     Ok(learner)
 }

@@ -241,7 +241,7 @@ fn a_damaged_shard_is_named_and_skipped_only_when_told_to() {
     let train = |more: &str| {
         bench.train(&format!("--config boards.toml --data data --out run --quiet --episodes 0 {more}"))
     };
-    // Half a shard; bytes of something else; a trial with impossible values.
+    // Half a shard; bytes of something else; nothing.
     let mut noise = sound.clone();
     noise[..64].fill(0xff);
     for damaged in [&sound[..sound.len() / 2], &noise, b""] {

@@ -145,12 +145,6 @@ impl Shard {
         self.row("link", scene, DEPTH_PIXELS)
     }
 
-    /// Number of trials of a scene.
-    #[must_use]
-    pub fn trial_count(&self, scene: usize) -> usize {
-        self.trial_start[scene + 1] - self.trial_start[scene]
-    }
-
     /// Trials of a scene.
     ///
     /// # Errors

@@ -122,21 +122,10 @@ impl Engine {
         let side = network.config().preprocessing.image_side;
         let backbone = match &network.backbone {
             Backbone::UNet(unet) => {
-                let layers = fold::unet(unet);
-                ShapeError::check(
-                    "levels and steps of the U-Net that do not fit",
-                    0,
-                    usize::from(layers.is_none()),
-                )?;
-                match layers {
-                    Some(mut layers) => {
-                        last = if open { fold::take_head(&mut layers) } else { None };
-                        Compiled::Rgb(Box::new(UNet::new(isa, &layers, side)?))
-                    }
-                    None => {
-                        return Err(EngineError::Modality { expected: "a U-Net", found: "another network" });
-                    }
-                }
+                let misfit = EngineError::Modality { expected: "a U-Net", found: "another network" };
+                let mut layers = fold::unet(unet).ok_or(misfit)?;
+                last = if open { fold::take_head(&mut layers) } else { None };
+                Compiled::Rgb(Box::new(UNet::new(isa, &layers, side)?))
             }
             Backbone::PointNet2(net) => Compiled::Cloud(CloudEngine::new(isa, net)?),
         };

@@ -1,11 +1,10 @@
 //! A folder that describes itself: `config.json`, `model.safetensors`, `card.md`, `SHA256SUMS`.
 
 use std::fs;
-use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
-use where2act_core::{sha256_hex, write_whole};
+use where2act_core::{sha256_hex, write_together};
 
 use super::{Precision, Tensors, WeightsError};
 use crate::config::ModelConfig;
@@ -63,8 +62,8 @@ impl Weights {
     }
 }
 
-/// Saves a network as a weights folder, `SHA256SUMS` last; every file whole or not at all. Returns the SHA-256 of
-/// `model.safetensors`.
+/// Saves a network as a weights folder, `SHA256SUMS` last; weights that are there are replaced when the new ones are written
+/// ([`write_together`]). Returns the SHA-256 of `model.safetensors`.
 ///
 /// # Errors
 /// [`WeightsError::Io`]; [`WeightsError::NotFinite`] if a parameter cannot be stored in this precision.
@@ -81,14 +80,12 @@ pub fn save_weights(
     let mut config = serde_json::to_vec_pretty(network.config())
         .map_err(|source| WeightsError::Json { path: config_path, source })?;
     config.push(b'\n');
-    let mut sums = String::new();
-    for (name, bytes) in
-        [(CONFIG_FILE, config.as_slice()), (WEIGHTS_FILE, &weights), (CARD_FILE, card.as_bytes())]
-    {
-        write(&folder.join(name), bytes)?;
-        sums.push_str(&format!("{}  {name}\n", sha256_hex(bytes)));
-    }
-    write(&folder.join(SUMS_FILE), sums.as_bytes())?;
+    let files = [(CONFIG_FILE, config.as_slice()), (WEIGHTS_FILE, &weights), (CARD_FILE, card.as_bytes())];
+    let sums: String = files.map(|(name, bytes)| format!("{}  {name}\n", sha256_hex(bytes))).concat();
+    let paths = [CONFIG_FILE, WEIGHTS_FILE, CARD_FILE, SUMS_FILE].map(|name| folder.join(name));
+    let contents = files.map(|(_, bytes)| bytes).into_iter().chain([sums.as_bytes()]);
+    let files: Vec<(&Path, &[u8])> = paths.iter().map(PathBuf::as_path).zip(contents).collect();
+    write_together(&files).map_err(|(path, source)| WeightsError::Io { path, source })?;
     Ok(sha256_hex(&weights))
 }
 
@@ -107,11 +104,6 @@ pub fn verify_weights(folder: &Path) -> Result<(), WeightsError> {
 
 fn read(path: &Path) -> Result<Vec<u8>, WeightsError> {
     fs::read(path).map_err(|source| WeightsError::Io { path: path.to_owned(), source })
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), WeightsError> {
-    write_whole(path, |w| w.write_all(bytes))
-        .map_err(|source| WeightsError::Io { path: path.to_owned(), source })
 }
 
 /// Pairs (sum, file name).

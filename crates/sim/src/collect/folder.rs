@@ -54,7 +54,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// A new data set of so many scenes, in shards of 16: 12 MB, half a minute of work.
+    /// A new data set of so many scenes, in shards of 16: 12 MB.
     #[must_use]
     pub fn new(scenes: u64) -> Self {
         Self { scenes, scenes_per_shard: 16, part: Part::WHOLE, resume: false }

@@ -125,11 +125,13 @@ impl ObjectSet {
 
     /// The objects in a folder, of `categories` if that is not empty: `<Category>/<id>`, and `<id>` alone as PartNet-Mobility
     /// comes, whose `meta.json` names the category. Folders in which [`urdf_in`] finds no object are left out, and the log
-    /// says so.
+    /// says so. The folder is remembered by its whole name: scenes can be made again from whatever folder a program runs in.
     ///
     /// # Errors
     /// If the folder cannot be read or holds no such object.
     pub fn folder(root: &Path, categories: &[Category]) -> Result<Self, CollectError> {
+        let absolute = |source| CollectError::Io { path: root.to_owned(), source };
+        let root = &std::path::absolute(root).map_err(absolute)?;
         let read = |path: &Path| {
             let io = |source| CollectError::Io { path: path.to_owned(), source };
             let mut names = Vec::new();

@@ -17,6 +17,22 @@ const MOST_ZOOMED_OUT: f32 = 1.7;
 /// Share of the room beside the object by which it may be off the middle of the picture.
 const OFF_CENTRE: f32 = 0.7;
 
+/// The camera that looks at an object, with its links at `world_from_links`, from the front or, by angles in radians, from its
+/// right (`azimuth`) and from above: at the published distance, with the published field of view, `side` pixels wide and high.
+#[must_use]
+pub fn front_camera(
+    object: &Object,
+    world_from_links: &[Isometry3<f32>],
+    [azimuth, elevation]: [f32; 2],
+    side: usize,
+) -> Camera {
+    let (min, max) = visible_bounds(object, world_from_links);
+    // Objects face -x.
+    let (centre, azimuth) = (nalgebra::center(&min, &max), PI + azimuth);
+    let distance = Camera::PUBLISHED_DISTANCE;
+    Camera::orbit(centre, distance, azimuth, elevation, ImageSize::square(side), Camera::PUBLISHED_FOV)
+}
+
 /// A random 448x448 camera that looks at `object_centre`.
 ///
 /// Published: distance 5 m, any azimuth, elevation 30 to 60 degrees, field of view 35 degrees. With `wide`: distance

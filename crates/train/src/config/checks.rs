@@ -127,7 +127,8 @@ impl TrainConfig {
         check(epoch_steps > 0, "schedule.epoch_steps", 0, "at least 1")?;
         let falls = (0.0..1.0).contains(&weight_decay);
         check(falls, "schedule.weight_decay", weight_decay, "0 or more and less than 1")?;
-        if let Decay::Step { factor, .. } = self.schedule.decay {
+        if let Decay::Step { steps, factor } = self.schedule.decay {
+            check(steps > 0, "schedule.decay.step.steps", 0, "at least 1")?;
             let falls = factor > 0.0 && factor <= 1.0;
             check(falls, "schedule.decay.step.factor", factor, "more than 0, at most 1")?;
         }
@@ -191,6 +192,7 @@ mod tests {
             ("look_steps = 3\n[loss]\nnormal = 1.0\n[batch]\nlooks_per_view = 0\n", "batch.looks_per_view"),
             ("weight_decay = -1.0\n", "schedule.weight_decay"),
             ("decay = { step = { steps = 3, factor = 1.5 } }\n", "schedule.decay.step.factor"),
+            ("decay = { step = { steps = 0, factor = 0.9 } }\n", "schedule.decay.step.steps"),
             ("[adaptive]\nenabled = true\nbuffer = 3\n", "adaptive.buffer"),
             ("[collect]\nlook_objects = 0\n", "collect.look_objects"),
             ("[collect]\nlook_objects = 1000001\n", "collect.look_objects"),

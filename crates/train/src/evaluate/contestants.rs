@@ -162,12 +162,12 @@ pub(super) struct Informed {
     pub(super) in_view: bool,
 }
 
-/// Trials that know the joint, until one of a handful that begins in view succeeds.
+/// Trials that know the joint: `least`, and then handfuls, `most` in all, until one that begins in view succeeds.
 pub(super) fn informed(
     prep: &ScenePrep,
     sampler: &Sampler<'_>,
     primitive: Primitive,
-    most: usize,
+    [least, most]: [usize; 2],
     seed: Seed,
 ) -> Vec<Informed> {
     const AT_ONCE: usize = 8;
@@ -177,7 +177,9 @@ pub(super) fn informed(
         Informed { success, in_view: sampler.begins_in_view(&candidate.grasp_in_world) }
     };
     let mut outcomes: Vec<Informed> = Vec::new();
-    while outcomes.len() < most && !outcomes.iter().any(|of| of.success && of.in_view) {
+    while outcomes.len() < least.min(most)
+        || outcomes.len() < most && !outcomes.iter().any(|of| of.success && of.in_view)
+    {
         let next = outcomes.len()..(outcomes.len() + AT_ONCE).min(most);
         outcomes.extend(next.into_par_iter().map(one).collect::<Vec<_>>());
     }

@@ -41,7 +41,7 @@ pub struct EvaluateConfig {
     pub random: usize,
     /// Trials that know the joint, at most, before a primitive counts as impossible in a scene.
     pub informed: usize,
-    /// Whether the published look is replaced by random lights, materials, backgrounds and sensors.
+    /// Whether random lights, materials, backgrounds and sensors replace the published look, in two of three scenes as in data.
     pub randomise: bool,
     /// Whether proposals are left out whose hand has no room by the depth map ([`Options::clearance`]).
     ///
@@ -252,7 +252,8 @@ impl Judge<'_> {
     ) -> Vec<Trial> {
         let config = self.config;
         let seed = prep.info.seed.child("evaluate", 0).child("primitive", primitive as u64);
-        let informed = contestants::informed(prep, sampler, primitive, config.informed, seed);
+        let informed =
+            contestants::informed(prep, sampler, primitive, [config.proposals, config.informed], seed);
         result.possible = informed.iter().any(|trial| trial.success);
         result.possible_in_view = informed.iter().any(|trial| trial.success && trial.in_view);
         // The first few only: trying until success would make the rate look worse than it is.

@@ -189,7 +189,9 @@ impl Run<'_> {
     /// Runs steps up to `end` or until told to stop.
     fn steps_until(&mut self, end: usize) -> Result<(), TrainError> {
         let looks = self.config.schedule.look_steps;
-        self.steps_of_a_phase(end.min(looks))?;
+        if self.state.progress.step < looks {
+            self.steps_of_a_phase(end.min(looks))?;
+        }
         if self.state.progress.step >= looks { self.steps_of_a_phase(end) } else { Ok(()) }
     }
 

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use image::{ImageFormat, Rgb, RgbImage};
-use where2act_core::{Camera, ImageSize, program, write_whole};
+use where2act_core::{Camera, program, write_whole};
 use where2act_sim::object::{self, JointKind, Material, Object, Visual};
-use where2act_sim::render::{Look, View, render, visible_bounds};
+use where2act_sim::render::{Look, View, front_camera, render};
 
 #[derive(clap::Args)]
 #[command(after_help = "\
@@ -122,16 +122,8 @@ pub(crate) fn opened(object: &Object, fraction: f32) -> Result<Vec<f32>> {
 /// A picture of the whole object.
 pub(crate) fn look_at(object: &Object, q: &[f32], size: usize, viewpoint: Viewpoint) -> View {
     let poses = object.world_from_links(q);
-    let (min, max) = visible_bounds(object, &poses);
-    let azimuth = std::f32::consts::PI + viewpoint.azimuth.to_radians();
-    let camera = Camera::orbit(
-        nalgebra::center(&min, &max),
-        Camera::PUBLISHED_DISTANCE,
-        azimuth,
-        viewpoint.elevation.to_radians(),
-        ImageSize::square(size),
-        Camera::PUBLISHED_FOV,
-    );
+    let angles = [viewpoint.azimuth, viewpoint.elevation].map(f32::to_radians);
+    let camera = front_camera(object, &poses, angles, size);
     render(object, &poses, &camera, &Look::default())
 }
 

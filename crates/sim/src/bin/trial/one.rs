@@ -6,9 +6,9 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use nalgebra::{Point3, Vector3};
 use serde_json::json;
-use where2act_core::{Camera, Grasp, ImageSize, Pixel, Verdict};
+use where2act_core::{Camera, Grasp, Pixel, Verdict};
 use where2act_sim::object::Object;
-use where2act_sim::render::{Look, render, visible_bounds};
+use where2act_sim::render::{Look, front_camera, render};
 use where2act_sim::{Attempt, Observer, Scene, SettledScene, SurfacePoint};
 
 use crate::{Cli, gif};
@@ -91,16 +91,8 @@ fn seen_at(cli: &Cli, settled: &SettledScene, pixel: Pixel) -> Result<SurfacePoi
         bail!("--pixel {},{}: expected columns and rows below {side}", pixel.u, pixel.v);
     }
     let poses = settled.world_from_links();
-    let (min, max) = visible_bounds(settled.object(), &poses);
-    let azimuth = std::f32::consts::PI + cli.azimuth.to_radians();
-    let camera = Camera::orbit(
-        nalgebra::center(&min, &max),
-        Camera::PUBLISHED_DISTANCE,
-        azimuth,
-        cli.elevation.to_radians(),
-        ImageSize::square(side),
-        Camera::PUBLISHED_FOV,
-    );
+    let angles = [cli.azimuth, cli.elevation].map(f32::to_radians);
+    let camera = front_camera(settled.object(), &poses, angles, side);
     let view = render(settled.object(), &poses, &camera, &Look::default());
     let seen = view.link_at(pixel).zip(view.point_in_world(pixel)).zip(view.normal_in_world(pixel));
     let Some(((link, point_in_world), normal_in_world)) = seen else {
