@@ -1,5 +1,6 @@
 //! Shards opened for training: which scenes there are, and how often each primitive succeeds in them.
 
+use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -15,6 +16,9 @@ pub enum DataError {
     /// A shard or manifest cannot be read.
     #[error(transparent)]
     Shard(#[from] ShardError),
+    /// There is no data set.
+    #[error("{}: expected a folder that `collect` wrote, found no {}", .0.display(), Manifest::FILE)]
+    NoData(PathBuf),
     /// There are no shards.
     #[error("{}: no shards, expected shard-00000.safetensors and so on (make them with `collect`)", .0.display())]
     Empty(PathBuf),
@@ -113,7 +117,12 @@ impl Dataset {
         for folder in folders {
             let folder = folder.as_ref();
             let before = dataset.shards.len();
-            let manifest = Manifest::load(folder)?;
+            let manifest = Manifest::load(folder).map_err(|error| match error {
+                ShardError::Io { source, .. } if source.kind() == ErrorKind::NotFound => {
+                    DataError::NoData(folder.to_owned())
+                }
+                other => other.into(),
+            })?;
             for path in list_shards(folder)? {
                 match Shard::open(&path) {
                     Ok(shard) => dataset.shards.push(shard),

@@ -102,15 +102,17 @@ pub fn first_weights(
 /// The first field in which two descriptions differ, and what it is in each.
 pub(crate) fn difference(found: &ModelConfig, expected: &ModelConfig) -> Option<[String; 3]> {
     let [found, expected] = [found, expected].map(|config| serde_json::to_value(config).unwrap_or_default());
-    let fields =
+    // What they read comes first: most else depends on it.
+    let all =
         [&found, &expected].into_iter().filter_map(|value| value.as_object()).flat_map(|all| all.keys());
+    let fields = std::iter::once("modality").chain(all.map(String::as_str));
     let show = |value: &serde_json::Value| match value {
         serde_json::Value::Null => "nothing".to_owned(),
         value => value.to_string(),
     };
     fields
         .filter(|field| found[*field] != expected[*field])
-        .map(|field| [field.clone(), show(&found[field]), show(&expected[field])])
+        .map(|field| [field.to_owned(), show(&found[field]), show(&expected[field])])
         .next()
 }
 

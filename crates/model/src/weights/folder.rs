@@ -109,6 +109,9 @@ fn read(path: &Path) -> Result<Vec<u8>, WeightsError> {
 /// Pairs (sum, file name).
 fn read_sums(folder: &Path) -> Result<Vec<(String, String)>, WeightsError> {
     let path = folder.join(SUMS_FILE);
+    if !path.exists() {
+        return Err(WeightsError::NoWeights { path: folder.to_owned() });
+    }
     let text = String::from_utf8_lossy(&read(&path)?).into_owned();
     let sums = text.lines().filter(|line| !line.trim().is_empty()).map(|line| {
         let (sum, name) = line.split_once(char::is_whitespace).unwrap_or((line, ""));

@@ -28,6 +28,14 @@ pub enum WeightsError {
         /// What it said.
         source: io::Error,
     },
+    /// The folder is none of weights.
+    #[error(
+        "{path}: expected a weights folder with {CONFIG_FILE}, {WEIGHTS_FILE} and {SUMS_FILE}, found no {SUMS_FILE}"
+    )]
+    NoWeights {
+        /// The folder.
+        path: PathBuf,
+    },
     /// The file is no container of tensors, or a damaged one.
     #[error("{path}: {why}")]
     Format {

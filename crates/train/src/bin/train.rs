@@ -41,7 +41,8 @@ static ALLOCATOR: where2act_kernels::KeepLarge = where2act_kernels::KeepLarge::n
   train --config configs/standard.toml --data data/cloud --out runs/cloud
   train --config configs/standard.toml --data data/cloud --out runs/cloud --resume
   train --data data/cloud --modality rgb --steps 2000 --out runs/quick-rgb
-  train --config configs/standard.toml --from weights/cloud --looks 0 --data data/mine --out runs/mine
+  train --config configs/standard.toml --from weights/cloud --looks 0 \\
+      --data data/mine --out runs/mine
   RUST_LOG=info train 2> train.log                  without a terminal: a line a minute
   train --modality rgb --encoder resnet18.pth --data data/rgb --out runs/rgb"
 )]

@@ -15,6 +15,7 @@ const EXAMPLES: &str = "\
 Examples:
   predict cabinet.jpg
   predict cabinet.png --depth depth.png --intrinsics 615.1,615.4,320.2,239.8
+  predict cabinet.png --depth depth.png --fov 42 --weights weights/cloud
   predict depth.png --fov 42 --primitive pulling --primitive pushing
   predict scan.ply --object-scale 1.5
   predict kitchen.jpg --box 210,80,400,520
@@ -23,12 +24,14 @@ Examples:
 
 Scores rank proposals: higher is better. A score is not the share of tries that succeed.
 
-Directions and poses are in the camera's optical frame: x right, y down, z forward, metres. The hand's z axis is
-the approach, its x axis is forward, and the fingers open along y. Without depth there are directions, but no points and
-poses. Scans are in the same frame: a camera at (0, 0, 0) looks along z.
+Directions and poses are in the camera's optical frame: x right, y down, z forward, metres. The hand's z axis is the \
+approach, its x axis is forward, and the fingers open along y. Without depth there are directions, but no points and poses. \
+Scans are in the same frame: a camera at (0, 0, 0) looks along z.
 
-With --depth, the picture decides; the depth gives points in metres and leaves out hands without room. A depth map or
-scan alone is centred and, if its object is smaller or larger than those seen in training, scaled for the network;
+With --depth the picture decides, and the depth gives points in metres and leaves out hands without room. With --weights \
+weights/cloud the depth decides, whose proposals succeed more often.
+
+A depth map or scan is centred and, if its object is smaller or larger than those seen in training, scaled for the network; \
 --object-scale or --keep-scale overrule that. Points come back in the input's metres; the hand keeps its real size.";
 
 /// Says what a gripper can do with what is seen, where, how, and what to try first.
@@ -39,7 +42,8 @@ pub(crate) struct Args {
     /// pcd, or npy [points, 3 or more]; in the camera's optical frame, metres), or folders of these.
     #[arg(required = true)]
     pub(crate) input: Vec<PathBuf>,
-    /// Depth map of the picture: 16-bit grey png, or npy [height, width] in metres.
+    /// Depth map of the picture: 16-bit grey png, or npy [height, width] in metres. The picture decides all the same, unless
+    /// --weights are for scans.
     #[arg(long, value_name = "F")]
     pub(crate) depth: Option<PathBuf>,
     /// Metres per unit of integer depth.
@@ -58,7 +62,8 @@ pub(crate) struct Args {
     /// Vertical field of view of the picture or depth map, degrees, with the axis in the middle.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub(crate) fov: Option<f32>,
-    /// Picture whose bright pixels are the object. Default: what is not transparent, if the input is a cut-out.
+    /// Picture whose pixels brighter than half are the object, all of it: what else there is is painted white, and networks like
+    /// weights/rgb look at the square around the object. Default: what is not transparent, if the input is a cut-out.
     #[arg(long, value_name = "F")]
     pub(crate) mask: Option<PathBuf>,
     /// Rectangle around the object instead of a mask, pixels of the picture as it is shown, upright. What is outside is painted

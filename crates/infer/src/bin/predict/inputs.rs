@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use where2act_core::{ImageSize, Intrinsics, Observation};
+use where2act_core::{ImageSize, Intrinsics, Observation, is_measured};
 use where2act_infer::read::{FileKind, file_kind, read_depth, read_mask, read_picture, read_scan};
 use where2act_model::Modality;
 
@@ -11,6 +11,8 @@ use crate::args::Args;
 
 /// Half of what a depth map shows is further than this, metres, only if its numbers are no metres.
 const FARTHEST: f32 = 60.0;
+/// Fewer pixels or points show no object.
+const FEWEST: usize = 256;
 
 /// A file to predict for.
 pub(crate) struct Input {
@@ -153,8 +155,28 @@ impl Input {
 
 /// What can be meant as it is, but seldom is.
 pub(crate) fn doubts(observation: &Observation) -> Vec<String> {
-    let Observation::Image { size, depth, intrinsics, .. } = observation else { return Vec::new() };
     let mut doubts = Vec::new();
+    let (shown, unit) = match observation {
+        Observation::Cloud { points } => (points.iter().filter(|point| is_measured(point)).count(), "points"),
+        Observation::Image { size, mask: None, .. } => (size.pixels(), "pixels"),
+        Observation::Image { mask: Some(mask), .. } => {
+            (mask.iter().filter(|inside| **inside).count(), "pixels")
+        }
+    };
+    if shown < FEWEST {
+        doubts.push(format!("expected an object of thousands of {unit}, found {shown}"));
+    }
+    let Observation::Image { size, rgb, depth, intrinsics, .. } = observation else { return doubts };
+    if rgb.as_ref().is_some_and(|rgb| rgb.iter().all(|colour| Some(colour) == rgb.first())) {
+        doubts.push("expected a picture of an object, found a single colour".to_owned());
+    }
+    if depth.is_none() && intrinsics.is_some() {
+        doubts.push(
+            "expected --fov or --intrinsics with a depth map, 16-bit grey png or npy, found a picture alone, whose \
+             proposals they do not change"
+                .to_owned(),
+        );
+    }
     if let Some(Intrinsics { cx, cy, .. }) = intrinsics
         && !((0.0..=size.width as f32).contains(cx) && (0.0..=size.height as f32).contains(cy))
     {
@@ -166,7 +188,9 @@ pub(crate) fn doubts(observation: &Observation) -> Vec<String> {
     if middle > 0 {
         let (_, median, _) = seen.select_nth_unstable_by(middle, f32::total_cmp);
         if *median > FARTHEST {
-            doubts.push(format!("expected depth in metres, found a median of {median}"));
+            doubts.push(format!(
+                "expected depth in metres, found a median of {median}: are these millimetres? (--depth-scale is for integers)"
+            ));
         }
     }
     doubts
@@ -183,6 +207,12 @@ fn mask(args: &Args, size: ImageSize) -> Result<Option<Vec<bool>>> {
     let Some(path) = &args.mask else { return Ok(None) };
     let (found, mask) = read_mask(path)?;
     same_size("--mask", path, found, size)?;
+    if !mask.contains(&true) {
+        bail!(
+            "--mask {}: expected pixels brighter than half, which are the object, found none",
+            path.display()
+        );
+    }
     Ok(Some(mask))
 }
 

@@ -71,7 +71,9 @@ fn run(args: &Args) -> Result<()> {
         output.prediction.input.source = input.path.display().to_string();
         let huge =
             output.prediction.input.network_from_metres < HUGE && options.network_from_metres.is_none();
-        let huge = huge.then(|| "expected metres, found an object larger than a house".to_owned());
+        let huge = huge.then(|| {
+            "expected metres, found an object larger than a house: are these millimetres?".to_owned()
+        });
         for doubt in inputs::doubts(&observation).into_iter().chain(huge) {
             tracing::warn!("{}: {doubt}", input.path.display());
         }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Result, bail};
-use clap::Parser;
+use clap::{ArgGroup, Parser};
 use nalgebra::Vector3;
 use where2act_core::{Pixel, Primitive, program};
 use where2act_sim::{Mode, object};
@@ -21,15 +21,17 @@ mod one;
 #[command(
     version,
     max_term_width = 110,
+    group = ArgGroup::new("contact").args(["pixel", "point", "batch"]).required(true),
     after_help = "\
 Examples:
-  trial Microwave:3 --primitive pushing --pixel 224,240
-  trial cabinet.urdf --primitive pulling --point 0.37,0.04,-0.25 --approach -1,0,0 --forward 0,1,0 --gif pull.gif
+  trial Door:1 --primitive pushing --pixel 224,224 --joint link_1=0.5 --gif push.gif
+  trial cabinet.urdf --primitive pulling --point 0.37,0.04,-0.25 \\
+      --approach -1,0,0 --forward 0,1,0 --gif pull.gif
   trial cabinet.urdf --primitive pushing --point 0.32,0.3,0.3 --joint door_j=0.4 --json
   trial cabinet.urdf --batch trials.tsv --out outcomes.tsv
 
-Columns of --batch, separated by tabs: primitive, target_link, px py pz (contact point), ax ay az (approach),
-fx fy fz (forward), and optionally q_<link> (start position of the joint that moves the link) and outcomes
+Columns of --batch, separated by tabs: primitive, target_link, px py pz (contact point), ax ay az (approach), \
+fx fy fz (forward), and optionally q_<link> (start position of the joint that moves the link) and outcomes \
 (valid, reason, q_start, q_end, success), which are compared."
 )]
 struct Cli {
@@ -39,10 +41,10 @@ struct Cli {
     #[arg(long, short, required_unless_present = "batch")]
     primitive: Option<Primitive>,
     /// Touch what is seen at this pixel of a 448x448 picture (see --azimuth, --elevation).
-    #[arg(long, value_name = "U,V", value_parser = pixel, conflicts_with = "point")]
+    #[arg(long, value_name = "U,V", value_parser = pixel)]
     pixel: Option<Pixel>,
     /// Touch the surface at this point.
-    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true, required_unless_present_any = ["batch", "pixel"])]
+    #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true)]
     point: Option<Vector3<f32>>,
     /// Direction in which the hand comes [default: against the surface's normal].
     #[arg(long, value_name = "X,Y,Z", value_parser = vector, allow_hyphen_values = true)]
@@ -78,7 +80,7 @@ struct Cli {
     #[arg(long, conflicts_with = "batch")]
     json: bool,
     /// Run the trials of a table instead.
-    #[arg(long, value_name = "TSV", conflicts_with_all = ["primitive", "pixel", "point", "approach", "forward", "target", "q", "joint"])]
+    #[arg(long, value_name = "TSV", conflicts_with_all = ["primitive", "approach", "forward", "target", "q", "joint"])]
     batch: Option<PathBuf>,
     /// Where the table goes with its outcomes [default: standard output].
     #[arg(long, value_name = "TSV", requires = "batch")]
