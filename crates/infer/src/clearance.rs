@@ -23,8 +23,8 @@ const BLOCK: usize = 128;
 pub(crate) struct Room {
     /// Points less than [`REACH`] away, as offsets from the contact point in the camera frame, metres: all x, all y, all z.
     offsets: [Vec<f32>; 3],
-    /// Points less than [`GRIP_REACH`] away, as densely as they are known: a finger is as wide as three pixels of the published
-    /// view. Offsets from the contact point.
+    /// Points less than [`GRIP_REACH`] away, offsets from the contact point: of a depth map or scan some thousand, as a finger is
+    /// as wide as three pixels of the published view.
     close: Vec<Vector3<f32>>,
     /// The contact point in the camera frame.
     contact: Vector3<f32>,
@@ -33,17 +33,19 @@ pub(crate) struct Room {
 impl Room {
     /// `close` are asked by hands that pull alone.
     pub(crate) fn new(
-        obstacles: impl Iterator<Item = Point3<f32>>,
-        close: impl Iterator<Item = Point3<f32>>,
+        obstacles: impl IntoIterator<Item = Point3<f32>>,
+        close: impl IntoIterator<Item = Point3<f32>>,
         contact: &Point3<f32>,
     ) -> Self {
         let mut offsets = [const { Vec::new() }; 3];
-        for offset in
-            obstacles.map(|point| point - contact).filter(|offset| offset.norm_squared() < REACH * REACH)
+        for offset in obstacles
+            .into_iter()
+            .map(|point| point - contact)
+            .filter(|offset| offset.norm_squared() < REACH * REACH)
         {
             offsets.iter_mut().zip(offset.iter()).for_each(|(all, one)| all.push(*one));
         }
-        let close = close.map(|point| point - contact);
+        let close = close.into_iter().map(|point| point - contact);
         let close = close.filter(|o| o.norm_squared() < GRIP_REACH * GRIP_REACH).collect();
         Self { offsets, close, contact: contact.coords }
     }
@@ -137,7 +139,7 @@ mod tests {
         let contact = Point3::new(0.1, -0.2, 1.5);
         let point = contact + Vector3::new(x, y, z);
         let points = [point, point, contact, Point3::origin()];
-        Room::new(points.into_iter(), points.into_iter(), &contact)
+        Room::new(points, points, &contact)
     }
 
     #[test]

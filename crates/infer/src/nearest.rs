@@ -99,6 +99,26 @@ impl NearestIndex {
         best
     }
 
+    /// The points less than `reach` from another.
+    pub(crate) fn within(&self, to: &Point3<f32>, reach: f32) -> Vec<Point3<f32>> {
+        let corner = |far: f32| self.cell_of(&to.map(|x| x + far));
+        let ([x0, y0, z0], [x1, y1, z1]) = (corner(-reach), corner(reach));
+        let mut near = Vec::new();
+        let mut visit = |_, p: &Point3<f32>| {
+            if (p - to).norm_squared() < reach * reach {
+                near.push(*p);
+            }
+        };
+        for z in z0..=z1 {
+            for y in y0..=y1 {
+                for x in x0..=x1 {
+                    self.for_cell(self.cell_number([x, y, z]), &mut visit);
+                }
+            }
+        }
+        near
+    }
+
     pub(crate) fn points(&self) -> &[Point3<f32>] {
         &self.points
     }
@@ -172,6 +192,10 @@ mod tests {
             let found: Vec<f32> = index.nearest::<3>(&to).into_iter().map(|(_, d)| d).collect();
             let expected: Vec<f32> = all.iter().take(3).map(|(d, _)| *d).collect();
             prop_assert_eq!(found, expected);
+            for reach in [0.3, 1.7] {
+                let near = all.iter().filter(|(d, _)| *d < reach * reach).count();
+                prop_assert_eq!(index.within(&to, reach).len(), near);
+            }
         }
     }
 }

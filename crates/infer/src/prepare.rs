@@ -28,8 +28,8 @@ const NORMAL_RADIUS: f32 = 0.15;
 /// So many of a scan's points in a region stand for it where the network sees none of them.
 const REGION_POINTS: usize = 16;
 
-/// Points of a scan, in random order as they are, that are looked at for what is in a hand's way: some hundreds around it.
-const OBSTACLES: usize = 8192;
+/// Points of a scan around a contact point that are looked at for what is in a hand's way, at most.
+const OBSTACLES: usize = 4096;
 
 /// An observation, ready for the network.
 pub(crate) struct Prepared<'a> {
@@ -46,8 +46,10 @@ pub(crate) struct Prepared<'a> {
     details: BTreeMap<u32, Pixel>,
     /// Depth map of the input.
     depth: Option<DepthView<'a>>,
-    /// A scan at full density, in metres.
+    /// Some of a scan's points, evenly, in metres: what surfaces are made of.
     surface: Option<NearestIndex>,
+    /// All points of a scan that is no depth map.
+    scan: Option<NearestIndex>,
     pub(crate) network_from_metres: f32,
 }
 
@@ -126,6 +128,7 @@ impl<'a> Prepared<'a> {
             details,
             depth,
             surface: None,
+            scan: None,
             network_from_metres: 1.0,
         })
     }
@@ -165,6 +168,12 @@ impl<'a> Prepared<'a> {
         let xyz = input.xyz.as_chunks().0;
         let index = NearestIndex::new(xyz.iter().map(in_metres).collect());
         let surface = NearestIndex::new(input.dense.as_chunks().0.iter().map(in_metres).collect());
+        let scan = match observation {
+            Observation::Cloud { points } => {
+                Some(NearestIndex::new(points.iter().copied().filter(is_measured).collect()))
+            }
+            Observation::Image { .. } => None,
+        };
         let rows = (0..).zip(xyz).zip(&pixels).filter(|(_, pixel)| wanted(pixel));
         let places = Places::new(rows.map(|((row, xyz), _)| (row, *xyz)), POINT_DISTANCE);
         if places.rows().is_empty() && options.pixel.is_none() {
@@ -181,6 +190,7 @@ impl<'a> Prepared<'a> {
             details: BTreeMap::new(),
             depth: DepthView::of(observation),
             surface: Some(surface),
+            scan,
         })
     }
 
@@ -199,18 +209,17 @@ impl<'a> Prepared<'a> {
     pub(crate) fn room(&self, place: &Place, primitive: Primitive) -> Option<Room> {
         let contact = place.point?;
         let grips = primitive == Primitive::Pulling;
-        match (self.depth, &self.surface) {
-            (Some(depth), _) => {
-                let around = |reach| depth.around_point(&contact, reach).into_iter();
-                let close = grips.then(|| around(GRIP_REACH)).into_iter().flatten();
-                Some(Room::new(around(REACH), close, &contact))
-            }
-            (None, Some(surface)) => {
-                let seen = |most| surface.points().iter().take(most).copied();
-                Some(Room::new(seen(OBSTACLES), seen(if grips { usize::MAX } else { 0 }), &contact))
+        let around = |reach: f32| match (self.depth, &self.scan) {
+            (Some(depth), _) => Some(depth.around_point(&contact, reach)),
+            (None, Some(scan)) => {
+                let near = scan.within(&contact, reach);
+                let step = near.len().div_ceil(OBSTACLES).max(1);
+                Some(near.into_iter().step_by(step).collect())
             }
             (None, None) => None,
-        }
+        };
+        let close = if grips { around(GRIP_REACH) } else { None };
+        Some(Room::new(around(REACH)?, close.unwrap_or_default(), &contact))
     }
 
     /// Where a row of the network's output is on the input.
@@ -241,16 +250,10 @@ impl<'a> Prepared<'a> {
         }
     }
 
-    /// Whether a point is nearer than `off` metres to what the observation shows: at `pixel` of a depth map, anywhere in a scan,
-    /// of which `scan` holds all points. A picture alone does not tell.
-    pub(crate) fn shows(
-        &self,
-        scan: Option<&NearestIndex>,
-        point: &Point3<f32>,
-        pixel: Pixel,
-        off: f32,
-    ) -> bool {
-        match (self.depth, scan) {
+    /// Whether a point is nearer than `off` metres to what the observation shows: at `pixel` of a depth map, anywhere in a scan. A
+    /// picture alone does not tell.
+    pub(crate) fn shows(&self, point: &Point3<f32>, pixel: Pixel, off: f32) -> bool {
+        match (self.depth, &self.scan) {
             (Some(depth), _) => depth.contact(pixel).is_some_and(|seen| (seen - point).norm() < off),
             (None, Some(scan)) => scan.nearest::<1>(point).iter().any(|(_, squared)| *squared < off * off),
             (None, None) => true,

@@ -2,16 +2,13 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Matrix3, Point3};
-use where2act_core::{
-    Grasp, ImageSize, Intrinsics, Observation, Orientation6, Pixel, Primitive, is_measured,
-};
+use where2act_core::{Grasp, ImageSize, Intrinsics, Observation, Orientation6, Pixel, Primitive};
 use where2act_model::preprocess::CloudInput;
 use where2act_model::{Heads, LinearLayer, ModelConfig, hand_frame};
 
 use crate::backbone::{Backbone, NetworkInput};
 use crate::decode::sigmoid;
 use crate::dense::on_object;
-use crate::nearest::NearestIndex;
 use crate::predictor::Predictor;
 use crate::prepare::Prepared;
 use crate::{Error, Options};
@@ -75,15 +72,7 @@ impl Predictor {
         let prepare = |observation| Prepared::new(observation, &self.config, &self.model().name, &options);
         let prepared = prepare(observation)?;
         let mut scores = vec![None; hands.len()];
-        let scan = match observation {
-            Observation::Cloud { points } => {
-                Some(NearestIndex::new(points.iter().copied().filter(is_measured).collect()))
-            }
-            Observation::Image { .. } => None,
-        };
-        let prepared_and_scan = (&prepared, scan.as_ref());
-        let seen =
-            hands.iter().map(|(primitive, grasp)| seen(observation, prepared_and_scan, *primitive, grasp));
+        let seen = hands.iter().map(|(primitive, grasp)| seen(observation, &prepared, *primitive, grasp));
         let (slots, asked): (Vec<_>, Vec<Asked>) =
             scores.iter_mut().zip(outputs).zip(seen).filter_map(|(slot, asked)| Some((slot, asked?))).unzip();
         if asked.is_empty() {
@@ -106,7 +95,7 @@ impl Predictor {
 /// The hand, if it touches what is seen.
 fn seen(
     observation: &Observation,
-    (prepared, scan): (&Prepared<'_>, Option<&NearestIndex>),
+    prepared: &Prepared<'_>,
     primitive: Primitive,
     grasp: &Grasp,
 ) -> Option<Asked> {
@@ -122,7 +111,7 @@ fn seen(
         }
         Observation::Cloud { .. } => Pixel { u: 0, v: 0 },
     };
-    let shown = prepared.shows(scan, &point, pixel, FROM_SURFACE);
+    let shown = prepared.shows(&point, pixel, FROM_SURFACE);
     shown.then(|| Asked { primitive, point, orientation: Orientation6::from_rotation(&rotation), pixel })
 }
 
@@ -320,8 +309,7 @@ mod tests {
                     let orientation = Orientation6::from_rotation(rotation).mirrored(*primitive);
                     let reflected =
                         Grasp { point: mirrored_point(point), rotation: orientation.to_rotation() };
-                    seen(view, (&prepared, None), *primitive, if mirror { &reflected } else { grasp })
-                        .unwrap()
+                    seen(view, &prepared, *primitive, if mirror { &reflected } else { grasp }).unwrap()
                 };
                 let asked: Vec<Asked> = hands.iter().map(asked).collect();
                 let all = predictor.scoring.logits(&predictor.backbone, &predictor.config, &prepared, &asked);
