@@ -61,6 +61,26 @@ fn scenes_survive_the_disk_and_files_are_the_same_every_time() {
 }
 
 #[test]
+fn a_hand_survives_the_disk_as_nearly_as_its_axes_are_orthonormal() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shard");
+    let mut kept = scene(1, 6);
+    for (t, trial) in (0..).zip(&mut kept.trials) {
+        let turn = 0.7 * t as f32;
+        let (approach, forward) = (Vector3::new(turn.sin(), -0.5, 0.8), Vector3::new(0.2, 0.9, turn.cos()));
+        trial.grasp_in_camera = Grasp::new(Point3::new(0.1, 0.2, 5.0 / 3.0), approach, forward);
+    }
+    write_shard(&path, std::slice::from_ref(&kept)).unwrap();
+    let read = Shard::open(&path).unwrap().record(0).unwrap();
+    for (found, expected) in read.trials.iter().zip(&kept.trials) {
+        let (found, expected) = (found.grasp_in_camera, expected.grasp_in_camera);
+        assert_eq!(found.point, expected.point);
+        let difference = (found.rotation.matrix() - expected.rotation.matrix()).amax();
+        assert!(difference < 1e-6, "{difference}");
+    }
+}
+
+#[test]
 fn damage_and_other_versions_are_named() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("shard");
