@@ -1,5 +1,6 @@
-//! `train` as it is killed and resumed: the weights at the end are those of a run that nobody disturbed, bit for bit. The
-//! scenes are simulated and new trials are added online, so that everything a checkpoint keeps is in play.
+//! `train` as it is killed and resumed, with other numbers of threads: the weights at the end are those of a run that nobody
+//! disturbed, bit for bit. The scenes are simulated and new trials are added online, so that everything a checkpoint keeps is
+//! in play.
 #![cfg(unix)]
 
 use std::collections::BTreeMap;
@@ -67,9 +68,10 @@ fn collect(folder: &Path) {
     Collector::new(folder, recipe, plan).unwrap().run(&AtomicBool::new(false), &|_, _| {}).unwrap();
 }
 
-fn start(folder: &Path, out: &str, resume: bool) -> Child {
+fn start(folder: &Path, out: &str, resume: bool, jobs: usize) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_train"));
     command.args(["--config", "run.toml", "--data", "data", "--out", out, "--episodes", "0", "--quiet"]);
+    command.args(["--jobs", &jobs.to_string()]);
     if resume {
         command.arg("--resume");
     }
@@ -133,14 +135,14 @@ fn killed_five_times_it_ends_with_the_same_bits() {
     let began = Instant::now();
     collect(&folder.join("data"));
     println!("collected after {:?}", began.elapsed());
-    finish(start(folder, "whole", false));
+    finish(start(folder, "whole", false, 2));
     println!("undisturbed run after {:?}", began.elapsed());
 
     let run = folder.join("pieces");
     let mut rng = Seed(8).child("moments", 0).rng();
     let mut seen = 0;
     for (piece, signal) in ["KILL", "TERM", "KILL", "TERM", "KILL"].into_iter().enumerate() {
-        let child = start(folder, "pieces", piece > 0);
+        let child = start(folder, "pieces", piece > 0, 1 + piece % 3);
         // Somewhere in the steps after those that were seen before, or in what follows an epoch.
         let until = seen + rng.random_range(2..=5);
         let a_bit = Duration::from_micros(rng.random_range(0..60_000));
@@ -161,7 +163,7 @@ fn killed_five_times_it_ends_with_the_same_bits() {
             _ => assert_eq!(output.status.code(), None, "{said}"),
         }
     }
-    finish(start(folder, "pieces", true));
+    finish(start(folder, "pieces", true, 3));
     println!("all after {:?}", began.elapsed());
 
     let whole = folder.join("whole");
