@@ -309,10 +309,20 @@ fn numbers_that_are_seldom_meant_are_told_but_not_refused() {
     let millimetres = |_: usize, row: &mut [f32]| row.fill(1500.0);
     where2act_infer::write::write_npy_grid(&mut bytes, (120, 160), millimetres).unwrap();
     std::fs::write(bench.path("millimetres.npy"), bytes).unwrap();
+    // Two thirds of it are infinitely far away.
+    let mut bytes = Vec::new();
+    let far = |row: usize, to: &mut [f32]| to.fill(if row < 80 { 1e10 } else { 1.5 + 0.001 * row as f32 });
+    where2act_infer::write::write_npy_grid(&mut bytes, (120, 160), far).unwrap();
+    std::fs::write(bench.path("far.npy"), bytes).unwrap();
+    image::RgbImage::from_pixel(160, 120, image::Rgb([90; 3])).save(bench.path("grey.png")).unwrap();
     for (args, words) in [
         (vec!["picture.png", "--depth", "millimetres.npy", "--fov", "40"], vec!["in metres", "1500"]),
         (vec!["depth.png", "--intrinsics", "600,600,640,360"], vec!["160 x 120", "640, 360"]),
         (vec!["depth.png", "--intrinsics", "150,150,80,60"], vec![]),
+        (vec!["far.npy", "--fov", "40"], vec![]),
+        (vec!["picture.png", "--fov", "40"], vec!["--fov", "--depth"]),
+        (vec!["picture.png", "--box", "0,0,9,9"], vec!["thousands of pixels", "81"]),
+        (vec!["grey.png"], vec!["a single colour"]),
     ] {
         let run = bench.predict(&args).args(["--json", "--primitive", "pulling"]).assert().success();
         let stderr = String::from_utf8_lossy(&run.get_output().stderr).into_owned();

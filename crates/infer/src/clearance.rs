@@ -23,8 +23,7 @@ const BLOCK: usize = 128;
 pub(crate) struct Room {
     /// Points less than [`REACH`] away, as offsets from the contact point in the camera frame, metres: all x, all y, all z.
     offsets: [Vec<f32>; 3],
-    /// Points less than [`GRIP_REACH`] away, offsets from the contact point: of a depth map or scan some thousand, as a finger is
-    /// as wide as three pixels of the published view.
+    /// Points less than [`GRIP_REACH`] away, offsets from the contact point, more densely than the others: fingers are narrow.
     close: Vec<Vector3<f32>>,
     /// The contact point in the camera frame.
     contact: Vector3<f32>,

@@ -99,24 +99,22 @@ impl NearestIndex {
         best
     }
 
-    /// The points less than `reach` from another.
-    pub(crate) fn within(&self, to: &Point3<f32>, reach: f32) -> Vec<Point3<f32>> {
+    /// The points less than `reach` from another. Where cells so near hold more than `most`, that many of these are looked at.
+    pub(crate) fn within(&self, to: &Point3<f32>, reach: f32, most: usize) -> Vec<Point3<f32>> {
         let corner = |far: f32| self.cell_of(&to.map(|x| x + far));
         let ([x0, y0, z0], [x1, y1, z1]) = (corner(-reach), corner(reach));
-        let mut near = Vec::new();
-        let mut visit = |_, p: &Point3<f32>| {
-            if (p - to).norm_squared() < reach * reach {
-                near.push(*p);
-            }
-        };
-        for z in z0..=z1 {
-            for y in y0..=y1 {
-                for x in x0..=x1 {
-                    self.for_cell(self.cell_number([x, y, z]), &mut visit);
-                }
-            }
-        }
-        near
+        let lines = (z0..=z1).flat_map(|z| (y0..=y1).map(move |y| (y, z)));
+        // Cells along x lie one after the other.
+        let members = lines.filter_map(|(y, z)| {
+            let [first, last] = [x0, x1].map(|x| self.cell_number([x, y, z]));
+            let range = *self.start.get(first)? as usize..*self.start.get(last + 1)? as usize;
+            self.members.get(range)
+        });
+        let members: Vec<&[u32]> = members.collect();
+        let count: usize = members.iter().map(|line| line.len()).sum();
+        let some = members.into_iter().flatten().step_by(count.div_ceil(most).max(1));
+        let points = some.filter_map(|&i| self.points.get(i as usize));
+        points.filter(|p| (*p - to).norm_squared() < reach * reach).copied().collect()
     }
 
     pub(crate) fn points(&self) -> &[Point3<f32>] {
@@ -194,7 +192,8 @@ mod tests {
             prop_assert_eq!(found, expected);
             for reach in [0.3, 1.7] {
                 let near = all.iter().filter(|(d, _)| *d < reach * reach).count();
-                prop_assert_eq!(index.within(&to, reach).len(), near);
+                prop_assert_eq!(index.within(&to, reach, usize::MAX).len(), near);
+                prop_assert!(index.within(&to, reach, 7).len() <= near.min(7));
             }
         }
     }

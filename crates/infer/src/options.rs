@@ -11,7 +11,7 @@ pub struct Options {
     pub primitives: Vec<Primitive>,
     /// Proposals to return per primitive, best first. Default: 10.
     pub top_k: usize,
-    /// Orientations to try at every candidate. Published: 100.
+    /// Orientations to try at every candidate, [`Options::MAX_HANDS`] at all together. Published: 100.
     pub samples: usize,
     /// Candidate pixels per primitive: the most actionable ones that keep a distance; more if `top_k` proposals need them.
     /// Default: 32.
@@ -23,8 +23,9 @@ pub struct Options {
     /// Ask for this pixel of the input only (for scans: `u` is the point's index), whatever the region: "what can I do here?"
     pub pixel: Option<Pixel>,
     /// Where proposals may be, one entry per pixel of the input or point of the scan: say, the parts that move. The
-    /// network still sees everything, or what is around the mask. One pixel or point of the object is enough: where a network for scans, which sees some
-    /// thousand points, spread evenly, sees none of the region, the nearest move there. `None` = anywhere on the object.
+    /// network still sees everything, or what is around the mask. One pixel or point of the object is enough: where a network for
+    /// scans, which sees some thousand points, spread evenly, sees none of the region, the nearest move there. `None` = anywhere
+    /// on the object.
     pub region: Option<Vec<bool>>,
     /// Whether hands are left out that have no room: those that would overlap something a scan or a depth map shows, with palm
     /// or fingers at the start, with the palm until the finger tips touch or, for pulling, with the open fingers before they
@@ -54,6 +55,9 @@ impl Options {
 
     /// Candidates to look at: those asked for, and no fewer than `top_k` proposals need.
     pub(crate) fn candidates_at_least(&self) -> usize {
+        if self.pixel.is_some() {
+            return 1;
+        }
         self.candidates.max(self.top_k.div_ceil(self.proposals_per_pixel().max(1)))
     }
 
@@ -77,10 +81,10 @@ impl Options {
                 ));
             }
         }
-        let hands = self.samples * self.candidates_at_least();
-        if hands > Self::MAX_HANDS {
-            let expected = format!("at most {} hands, samples at all candidates together", Self::MAX_HANDS);
-            return Err(Error::invalid("samples", expected, hands.to_string()));
+        let (samples, candidates) = (self.samples, self.candidates_at_least());
+        if samples * candidates > Self::MAX_HANDS {
+            let expected = format!("up to {} hands, samples times candidates (or top_k)", Self::MAX_HANDS);
+            return Err(Error::invalid("samples", expected, format!("{samples} x {candidates}")));
         }
         if self.min_score.is_nan() {
             return Err(Error::invalid("min_score", "a number", "NaN"));

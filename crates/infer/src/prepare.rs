@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::OnceLock;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use where2act_core::{ImageSize, Observation, Pixel, Primitive, is_measured};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError};
 use where2act_model::{Modality, ModelConfig};
@@ -28,8 +29,9 @@ const NORMAL_RADIUS: f32 = 0.15;
 /// So many of a scan's points in a region stand for it where the network sees none of them.
 const REGION_POINTS: usize = 16;
 
-/// Points of a scan around a contact point that are looked at for what is in a hand's way, at most.
-const OBSTACLES: usize = 4096;
+/// Points of a scan around a contact point that are looked at for what is in a hand's way, at most: as many as cells of the index
+/// hold that a hand reaches into, of which it reaches half or less.
+const OBSTACLES: usize = 8192;
 
 /// An observation, ready for the network.
 pub(crate) struct Prepared<'a> {
@@ -48,8 +50,10 @@ pub(crate) struct Prepared<'a> {
     depth: Option<DepthView<'a>>,
     /// Some of a scan's points, evenly, in metres: what surfaces are made of.
     surface: Option<NearestIndex>,
-    /// All points of a scan that is no depth map.
-    scan: Option<NearestIndex>,
+    /// A scan that is no depth map, ...
+    scan: Option<&'a [Point3<f32>]>,
+    /// ... and all its points, once they are asked for.
+    scan_index: OnceLock<NearestIndex>,
     pub(crate) network_from_metres: f32,
 }
 
@@ -129,6 +133,7 @@ impl<'a> Prepared<'a> {
             depth,
             surface: None,
             scan: None,
+            scan_index: OnceLock::new(),
             network_from_metres: 1.0,
         })
     }
@@ -142,7 +147,8 @@ impl<'a> Prepared<'a> {
             |p: Pixel| Error::invalid("pixel", "one of the object, with depth", format!("{},{}", p.u, p.v));
         let asked = options.pixel.map(|p| point_at(observation, p).ok_or_else(|| none(p))).transpose()?;
         // The network sees some thousand points: the one that was asked for takes the nearest one's place among them.
-        let asked_row = asked.and_then(|point| input.move_nearest_to(&point)).map(|row| row as u32);
+        let asked_row =
+            asked.and_then(|point| input.move_nearest_to(&[point]).keys().next().map(|row| *row as u32));
         let pixel = |source: &usize| match seen.get(*source) {
             Some(pixel) => *pixel,
             None => Pixel { u: *source as u32, v: 0 },
@@ -155,11 +161,9 @@ impl<'a> Prepared<'a> {
         };
         let wanted = |pixel: &Pixel| in_region(options, position(pixel));
         if options.pixel.is_none() && !pixels.iter().any(wanted) {
-            let inside: Vec<_> =
-                measured(observation).into_iter().filter(|(pixel, _)| wanted(pixel)).collect();
-            for (pixel, point) in inside.iter().step_by(inside.len().div_ceil(REGION_POINTS).max(1)) {
-                let row = input.move_nearest_to(point);
-                if let Some(of_row) = row.and_then(|row| pixels.get_mut(row)) {
+            let (inside, points) = some_of(measured(observation, wanted));
+            for (row, i) in input.move_nearest_to(&points) {
+                if let Some((of_row, pixel)) = pixels.get_mut(row).zip(inside.get(i)) {
                     *of_row = *pixel;
                 }
             }
@@ -169,9 +173,7 @@ impl<'a> Prepared<'a> {
         let index = NearestIndex::new(xyz.iter().map(in_metres).collect());
         let surface = NearestIndex::new(input.dense.as_chunks().0.iter().map(in_metres).collect());
         let scan = match observation {
-            Observation::Cloud { points } => {
-                Some(NearestIndex::new(points.iter().copied().filter(is_measured).collect()))
-            }
+            Observation::Cloud { points } => Some(points.as_slice()),
             Observation::Image { .. } => None,
         };
         let rows = (0..).zip(xyz).zip(&pixels).filter(|(_, pixel)| wanted(pixel));
@@ -191,6 +193,7 @@ impl<'a> Prepared<'a> {
             depth: DepthView::of(observation),
             surface: Some(surface),
             scan,
+            scan_index: OnceLock::new(),
         })
     }
 
@@ -209,17 +212,20 @@ impl<'a> Prepared<'a> {
     pub(crate) fn room(&self, place: &Place, primitive: Primitive) -> Option<Room> {
         let contact = place.point?;
         let grips = primitive == Primitive::Pulling;
-        let around = |reach: f32| match (self.depth, &self.scan) {
+        let around = |reach: f32| match (self.depth, self.all_points()) {
             (Some(depth), _) => Some(depth.around_point(&contact, reach)),
-            (None, Some(scan)) => {
-                let near = scan.within(&contact, reach);
-                let step = near.len().div_ceil(OBSTACLES).max(1);
-                Some(near.into_iter().step_by(step).collect())
-            }
+            (None, Some(scan)) => Some(scan.within(&contact, reach, OBSTACLES)),
             (None, None) => None,
         };
         let close = if grips { around(GRIP_REACH) } else { None };
         Some(Room::new(around(REACH)?, close.unwrap_or_default(), &contact))
+    }
+
+    /// All points of a scan that is no depth map.
+    fn all_points(&self) -> Option<&NearestIndex> {
+        let index =
+            |points: &[Point3<f32>]| NearestIndex::new(points.iter().copied().filter(is_measured).collect());
+        self.scan.map(|points| self.scan_index.get_or_init(|| index(points)))
     }
 
     /// Where a row of the network's output is on the input.
@@ -253,7 +259,7 @@ impl<'a> Prepared<'a> {
     /// Whether a point is nearer than `off` metres to what the observation shows: at `pixel` of a depth map, anywhere in a scan. A
     /// picture alone does not tell.
     pub(crate) fn shows(&self, point: &Point3<f32>, pixel: Pixel, off: f32) -> bool {
-        match (self.depth, &self.scan) {
+        match (self.depth, self.all_points()) {
             (Some(depth), _) => depth.contact(pixel).is_some_and(|seen| (seen - point).norm() < off),
             (None, Some(scan)) => scan.nearest::<1>(point).iter().any(|(_, squared)| *squared < off * off),
             (None, None) => true,
@@ -375,13 +381,28 @@ fn point_at(observation: &Observation, pixel: Pixel) -> Option<Point3<f32>> {
     }
 }
 
-/// All points measured on the object, by pixel.
-fn measured(observation: &Observation) -> Vec<(Pixel, Point3<f32>)> {
+/// The points measured on the object at some of its pixels.
+fn measured(observation: &Observation, wanted: impl Fn(&Pixel) -> bool) -> Vec<(Pixel, Point3<f32>)> {
     match observation {
         Observation::Cloud { points } => {
             let pixels = (0..).map(|u| Pixel { u, v: 0 });
-            pixels.zip(points.iter().copied()).filter(|(_, point)| is_measured(point)).collect()
+            let here = |(pixel, point): &(Pixel, Point3<f32>)| wanted(pixel) && is_measured(point);
+            pixels.zip(points.iter().copied()).filter(here).collect()
         }
-        Observation::Image { .. } => observation.foreground_points(),
+        Observation::Image { .. } => {
+            let mut points = observation.foreground_points();
+            points.retain(|(pixel, _)| wanted(pixel));
+            points
+        }
     }
+}
+
+/// At most [`REGION_POINTS`] of some points, from the middle outwards.
+fn some_of(mut points: Vec<(Pixel, Point3<f32>)>) -> (Vec<Pixel>, Vec<Point3<f32>>) {
+    let sum: Vector3<f32> = points.iter().map(|(_, point)| point.coords).sum();
+    let middle = Point3::from(sum / points.len().max(1) as f32);
+    let from_middle = |(_, point): &(Pixel, Point3<f32>)| (point - middle).norm_squared();
+    points.sort_by(|a, b| from_middle(a).total_cmp(&from_middle(b)));
+    let step = points.len().div_ceil(REGION_POINTS).max(1);
+    points.into_iter().step_by(step).unzip()
 }

@@ -2,6 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::{Matrix3, Point3};
+use rayon::prelude::*;
 use where2act_core::{Grasp, ImageSize, Intrinsics, Observation, Orientation6, Pixel, Primitive};
 use where2act_model::preprocess::CloudInput;
 use where2act_model::{Heads, LinearLayer, ModelConfig, hand_frame};
@@ -72,7 +73,10 @@ impl Predictor {
         let prepare = |observation| Prepared::new(observation, &self.config, &self.model().name, &options);
         let prepared = prepare(observation)?;
         let mut scores = vec![None; hands.len()];
-        let seen = hands.iter().map(|(primitive, grasp)| seen(observation, &prepared, *primitive, grasp));
+        let seen: Vec<Option<Asked>> = hands
+            .par_iter()
+            .map(|(primitive, grasp)| seen(observation, &prepared, *primitive, grasp))
+            .collect();
         let (slots, asked): (Vec<_>, Vec<Asked>) =
             scores.iter_mut().zip(outputs).zip(seen).filter_map(|(slot, asked)| Some((slot, asked?))).unzip();
         if asked.is_empty() {

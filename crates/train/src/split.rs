@@ -37,9 +37,11 @@ impl Part {
         }
         // A hash of the name, not its number: neighbouring seeds spread evenly. `Box/31`, which is `31` to whoever names the
         // folder `Box`, is one object.
-        let bare = seed.is_none() && !object.contains('/');
-        let digest = match category {
-            Some(category) if bare => sha256_hex(format!("{category}/{object}").as_bytes()),
+        let digest = match (seed, category) {
+            (None, Some(category)) => {
+                let id = object.rsplit('/').next().unwrap_or(object);
+                sha256_hex(format!("{category}/{id}").as_bytes())
+            }
             _ => sha256_hex(object.as_bytes()),
         };
         match u32::from_str_radix(&digest[..8], 16).unwrap_or(0) % 10 {
@@ -84,7 +86,9 @@ mod tests {
         for part in [Part::Train, Part::Validation, Part::Shapes] {
             assert!(parts.contains(&part));
         }
-        let bare: Vec<_> = (0..500).map(|i| Part::of(&i.to_string(), Some(Category::Box))).collect();
-        assert_eq!(bare, parts, "whichever folder collecting was given");
+        for folder in ["", "boxes/"] {
+            let others = (0..500).map(|i| Part::of(&format!("{folder}{i}"), Some(Category::Box)));
+            assert!(others.eq(parts.iter().copied()), "whichever folder collecting was given");
+        }
     }
 }

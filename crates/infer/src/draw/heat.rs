@@ -14,8 +14,8 @@ pub(crate) fn heat_opacity(value: f32) -> u8 {
     (255.0 * (0.08 + 0.72 * value.clamp(0.0, 1.0).sqrt())) as u8
 }
 
-/// The value that has the last colour, where a map reaches `max`: the next of 1, 0.5, 0.2, 0.1, ... 0.0001, so that the colours
-/// of few different scales are to be compared.
+/// The value that has the last colour, where a map reaches `max`: the next of 1, 0.5, 0.2, 0.1, ... 0.0001. So there are few
+/// scales, and maps of one scale can be compared.
 #[must_use]
 pub fn heat_end(max: f32) -> f32 {
     let steps = [1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5];

@@ -43,14 +43,19 @@ fn sheet(maps: &DenseMaps<'_>, prediction: &Prediction) -> Option<Canvas> {
         let (x, y) = at(cell + 1);
         canvas.paste(&overlay(&view, maps, of)?, x as i32, y as i32);
     }
+    let has_points = prediction.primitives.iter().flat_map(|of| &of.proposals).any(|p| p.point.is_some());
     let (x, y) = at(cells - 1);
-    legend(&mut canvas, (x as f32 + 8.0, y as f32 + 6.0), view.lens.intrinsics.is_some());
+    legend(&mut canvas, (x as f32 + 8.0, y as f32 + 6.0), has_points);
     Some(canvas)
 }
 
 fn legend(canvas: &mut Canvas, (x, y): (f32, f32), has_points: bool) {
     canvas.text((x, y), 26.0, INK, "how to read");
-    let size = if has_points { "        (larger than they are)" } else { "        (how large is not known)" };
+    let size = if has_points {
+        "        (at least as large as they are)"
+    } else {
+        "        (how large is not known)"
+    };
     let lines = [
         "colour: how actionable a place is",
         "        (bars end at 1, 0.5, 0.2, ...:",

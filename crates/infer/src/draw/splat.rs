@@ -1,7 +1,7 @@
 //! Scans as pictures: every point a small disc, nearest in front, lit along the view.
 
 use nalgebra::{Point3, Vector3};
-use where2act_core::{ImageSize, Intrinsics};
+use where2act_core::{ImageSize, Intrinsics, is_measured};
 
 /// No point is seen in a pixel.
 pub(crate) const NOTHING: u32 = u32::MAX;
@@ -30,7 +30,7 @@ pub(crate) fn splat(points: &[Point3<f32>], size: ImageSize) -> (Intrinsics, Vec
     let per_point = size.pixels() as f32 * 0.5 / points.len().max(1) as f32;
     let radius = (5.0 * per_point / std::f32::consts::PI).sqrt().clamp(1.0, 8.0);
     let reach = radius as i64;
-    for (index, point) in points.iter().enumerate() {
+    for (index, point) in points.iter().enumerate().filter(|(_, point)| is_measured(point)) {
         let Some((x, y)) =
             intrinsics.project(point).filter(|(x, y)| x.abs() < FARTHEST && y.abs() < FARTHEST)
         else {
@@ -58,11 +58,8 @@ pub(crate) fn splat(points: &[Point3<f32>], size: ImageSize) -> (Intrinsics, Vec
 
 /// Intrinsics that put the middle of the scan in the middle of the picture.
 fn framing(points: &[Point3<f32>], size: ImageSize) -> Intrinsics {
-    let rays: Vec<(f32, f32)> = points
-        .iter()
-        .filter(|p| p.iter().all(|x| x.is_finite()) && p.z > 0.0)
-        .map(|p| (p.x / p.z, p.y / p.z))
-        .collect();
+    let rays: Vec<(f32, f32)> =
+        points.iter().filter(|p| is_measured(p) && p.z > 0.0).map(|p| (p.x / p.z, p.y / p.z)).collect();
     // A few stray points must not make the object small: the outermost half a percent may leave the picture.
     let span = |of: fn(&(f32, f32)) -> f32| {
         let mut sorted: Vec<f32> = rays.iter().map(of).collect();

@@ -1,5 +1,7 @@
 //! Scans to the points that PointNet++ sees, and back.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Point3;
 use rand::RngExt;
 use rand::seq::index;
@@ -137,13 +139,18 @@ impl CloudInput {
         nearest.into_iter().map(|[first, ..]| first as usize).collect()
     }
 
-    /// Puts the nearest of the network's points at a point of the scan's frame, metres, so that there are features right there:
-    /// which one it was. [`Self::source`] goes on to name what it was before.
-    pub fn move_nearest_to(&mut self, point: &Point3<f32>) -> Option<usize> {
-        let row = self.nearest(std::slice::from_ref(point)).first().copied()?;
-        let there = <[f32; 3]>::from(self.network_from_metres(point));
-        self.xyz.as_chunks_mut().0.get_mut(row).map(|xyz| *xyz = there)?;
-        Some(row)
+    /// Puts the nearest of the network's points at points of the scan's frame, metres, so that there are features right there,
+    /// none of them twice: of those with the same nearest one the first has it. Which ones they were, with the index of the
+    /// point where each is now. [`Self::source`] goes on to name what they were before.
+    pub fn move_nearest_to(&mut self, points: &[Point3<f32>]) -> BTreeMap<usize, usize> {
+        let mut moved = BTreeMap::new();
+        for (i, row) in self.nearest(points).into_iter().enumerate() {
+            moved.entry(row).or_insert(i);
+        }
+        for (&row, &i) in &moved {
+            self.xyz.as_chunks_mut().0[row] = self.network_from_metres(&points[i]).into();
+        }
+        moved
     }
 
     /// Neighbourhoods of a batch for a network, with features wanted at `targets[i]` of input i: points in network

@@ -92,7 +92,8 @@ pub fn save_weights(
 /// Checks every file that `SHA256SUMS` lists.
 ///
 /// # Errors
-/// [`WeightsError::Checksum`] for the first that differs, [`WeightsError::Io`] for the first that is missing.
+/// [`WeightsError::NoWeights`] without `SHA256SUMS`, [`WeightsError::Checksum`] for the first that differs,
+/// [`WeightsError::Io`] for the first that is missing.
 pub fn verify_weights(folder: &Path) -> Result<(), WeightsError> {
     let sums = read_sums(folder)?;
     for (_, name) in &sums {
@@ -110,7 +111,7 @@ fn read(path: &Path) -> Result<Vec<u8>, WeightsError> {
 fn read_sums(folder: &Path) -> Result<Vec<(String, String)>, WeightsError> {
     let path = folder.join(SUMS_FILE);
     if !path.exists() {
-        return Err(WeightsError::NoWeights { path: folder.to_owned() });
+        return Err(WeightsError::NoWeights { path });
     }
     let text = String::from_utf8_lossy(&read(&path)?).into_owned();
     let sums = text.lines().filter(|line| !line.trim().is_empty()).map(|line| {

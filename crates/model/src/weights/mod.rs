@@ -30,10 +30,10 @@ pub enum WeightsError {
     },
     /// The folder is none of weights.
     #[error(
-        "{path}: expected a weights folder with {CONFIG_FILE}, {WEIGHTS_FILE} and {SUMS_FILE}, found no {SUMS_FILE}"
+        "{path}: expected this file beside {CONFIG_FILE} and {WEIGHTS_FILE}, as in every weights folder, found none"
     )]
     NoWeights {
-        /// The folder.
+        /// `SHA256SUMS` of the folder.
         path: PathBuf,
     },
     /// The file is no container of tensors, or a damaged one.

@@ -260,6 +260,20 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_is_remembered_by_its_whole_name() {
+        let folder = tempfile::tempdir_in(".").unwrap();
+        std::fs::create_dir_all(folder.path().join("Box/1")).unwrap();
+        std::fs::write(folder.path().join("Box/1/mobility.urdf"), "").unwrap();
+        let relative = Path::new(folder.path().file_name().unwrap());
+        match ObjectSet::folder(relative, &[]).unwrap() {
+            ObjectSet::Folder { root, .. } => {
+                assert!(root.is_absolute() && root.ends_with(relative), "{root:?}");
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
     fn objects_without_folders_of_their_categories_say_what_they_are() {
         let folder = tempfile::tempdir().unwrap();
         for (file, text) in [

@@ -17,8 +17,9 @@ const MOST_ZOOMED_OUT: f32 = 1.7;
 /// Share of the room beside the object by which it may be off the middle of the picture.
 const OFF_CENTRE: f32 = 0.7;
 
-/// The camera that looks at an object, with its links at `world_from_links`, from the front or, by angles in radians, from its
-/// right (`azimuth`) and from above: at the published distance, with the published field of view, `side` pixels wide and high.
+/// The camera that looks at an object, with its links at `world_from_links`, from the front, turned to the object's left by
+/// `azimuth` and above the horizon by `elevation`, radians: from the published distance, with the published field of view, `side`
+/// pixels wide and high.
 #[must_use]
 pub fn front_camera(
     object: &Object,

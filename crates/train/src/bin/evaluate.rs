@@ -51,7 +51,7 @@ struct Args {
     /// Trials that know the joint, at most, before a primitive counts as impossible in a scene.
     #[arg(long, default_value_t = 200)]
     informed: usize,
-    /// Random lights, materials, backgrounds and sensors in two of three scenes instead of the
+    /// Random lights, materials, backgrounds and sensors in three of four scenes instead of the
     /// published look.
     #[arg(long)]
     randomise: bool,

@@ -482,7 +482,7 @@ impl TrainConfig {
         let looks = schedule.look_steps;
         let rate = if step < looks { schedule.rate } else { schedule.trial_rate.unwrap_or(schedule.rate) };
         match schedule.decay {
-            Decay::Step { steps, factor } => rate * factor.powi((step / steps) as i32),
+            Decay::Step { steps, factor } => rate * factor.powi((step / steps.max(1)) as i32),
             Decay::Cosine => {
                 let (first, end) = if step < looks { (0, looks) } else { (looks, self.steps()) };
                 let done = (step - first) as f64 / (end - first).max(1) as f64;

@@ -41,7 +41,7 @@ pub struct EvaluateConfig {
     pub random: usize,
     /// Trials that know the joint, at most, before a primitive counts as impossible in a scene.
     pub informed: usize,
-    /// Whether random lights, materials, backgrounds and sensors replace the published look, in two of three scenes as in data.
+    /// Whether random lights, materials, backgrounds and sensors replace the published look, in three of four scenes as in data.
     pub randomise: bool,
     /// Whether proposals are left out whose hand has no room by the depth map ([`Options::clearance`]).
     ///

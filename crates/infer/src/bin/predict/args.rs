@@ -62,7 +62,7 @@ pub(crate) struct Args {
     /// Vertical field of view of the picture or depth map, degrees, with the axis in the middle.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub(crate) fov: Option<f32>,
-    /// Picture whose pixels brighter than half are the object, all of it: what else there is is painted white, and networks like
+    /// Picture whose pixels brighter than half are the object, all of it: everything else is painted white, and networks like
     /// weights/rgb look at the square around the object. Default: what is not transparent, if the input is a cut-out.
     #[arg(long, value_name = "F")]
     pub(crate) mask: Option<PathBuf>,

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use where2act_core::{ImageSize, Intrinsics, Observation, is_measured};
+use where2act_core::{ImageSize, Intrinsics, Observation, is_measured, is_measured_depth};
 use where2act_infer::read::{FileKind, file_kind, read_depth, read_mask, read_picture, read_scan};
 use where2act_model::Modality;
 
@@ -91,6 +91,10 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 impl Input {
+    pub(crate) fn is_picture(&self) -> bool {
+        self.kind == FileKind::Picture
+    }
+
     pub(crate) fn modality(&self) -> Modality {
         match self.kind {
             FileKind::Picture => Modality::Rgb,
@@ -158,6 +162,7 @@ pub(crate) fn doubts(observation: &Observation) -> Vec<String> {
     let mut doubts = Vec::new();
     let (shown, unit) = match observation {
         Observation::Cloud { points } => (points.iter().filter(|point| is_measured(point)).count(), "points"),
+        Observation::Image { rgb: None, .. } => (observation.foreground_points().len(), "points"),
         Observation::Image { size, mask: None, .. } => (size.pixels(), "pixels"),
         Observation::Image { mask: Some(mask), .. } => {
             (mask.iter().filter(|inside| **inside).count(), "pixels")
@@ -170,20 +175,13 @@ pub(crate) fn doubts(observation: &Observation) -> Vec<String> {
     if rgb.as_ref().is_some_and(|rgb| rgb.iter().all(|colour| Some(colour) == rgb.first())) {
         doubts.push("expected a picture of an object, found a single colour".to_owned());
     }
-    if depth.is_none() && intrinsics.is_some() {
-        doubts.push(
-            "expected --fov or --intrinsics with a depth map, 16-bit grey png or npy, found a picture alone, whose \
-             proposals they do not change"
-                .to_owned(),
-        );
-    }
     if let Some(Intrinsics { cx, cy, .. }) = intrinsics
         && !((0.0..=size.width as f32).contains(cx) && (0.0..=size.height as f32).contains(cy))
     {
         let ImageSize { width, height } = size;
         doubts.push(format!("expected intrinsics of {width} x {height} pixels, found an axis at {cx}, {cy}"));
     }
-    let mut seen: Vec<f32> = depth.iter().flatten().copied().filter(|d| d.is_finite() && *d > 0.0).collect();
+    let mut seen: Vec<f32> = depth.iter().flatten().copied().filter(|d| is_measured_depth(*d)).collect();
     let middle = seen.len() / 2;
     if middle > 0 {
         let (_, median, _) = seen.select_nth_unstable_by(middle, f32::total_cmp);
