@@ -13,8 +13,8 @@ pub fn is_measured_depth(z: f32) -> bool {
     z > 0.0 && z < FURTHEST
 }
 
-/// Whether a point of a scan was measured: it is finite, and it is not (0, 0, 0), which is what organised clouds have where
-/// nothing was seen.
+/// Whether a point of a scan was measured: its coordinates are finite and below a million metres, and it is not (0, 0, 0), which
+/// is what organised clouds have where nothing was seen.
 #[must_use]
 pub fn is_measured(point: &Point3<f32>) -> bool {
     point.iter().all(|x| x.abs() < FURTHEST) && *point != Point3::origin()

@@ -87,10 +87,10 @@
 //! # Room for the hand
 //!
 //! Hands that would overlap something that the scan or the depth map shows (up to some 4,000 points around each are looked at),
-//! masked or not, are left out: with palm or fingers at the start, with the palm until the finger tips touch or, for pulling, with the
-//! open fingers before they close. So are hands that would begin behind something seen: nobody knows what is there. Hence there
-//! may be fewer proposals than asked for, or none. What else the camera does not see is not considered, nor is the arm behind
-//! the hand.
+//! masked or not, are left out: with palm or fingers at the start, with the palm until the finger tips touch or, for pulling,
+//! with the open fingers before they close. So are hands that would begin behind something seen: nobody knows what is there.
+//! Hence there may be fewer proposals than asked for, or none. What else the camera does not see is not considered, nor is the
+//! arm behind the hand.
 //! [`Options::clearance`] switches it off.
 //!
 //! # Sizes
