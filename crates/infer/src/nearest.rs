@@ -5,7 +5,12 @@ use nalgebra::Point3;
 /// Most cells along an axis.
 const MAX_CELLS: usize = 48;
 
-/// Points sorted into the cells of a grid over their bounding box.
+/// Every so many-th point, so that these are left, says where the grid is, ...
+const SAMPLED: usize = 1024;
+/// ... all but one in so many at either end along each axis: strays do not stretch it.
+const STRAYS: usize = 64;
+
+/// Points sorted into the cells of a grid over most of them; what is beside the grid belongs to the cell at its border.
 pub(crate) struct NearestIndex {
     points: Vec<Point3<f32>>,
     origin: Point3<f32>,
@@ -19,14 +24,17 @@ pub(crate) struct NearestIndex {
 impl NearestIndex {
     /// `points` must be finite; there may be none.
     pub(crate) fn new(points: Vec<Point3<f32>>) -> Self {
-        let mut low = Point3::from([f32::INFINITY; 3]);
-        let mut high = Point3::from([f32::NEG_INFINITY; 3]);
-        for p in &points {
-            low = low.inf(p);
-            high = high.sup(p);
-        }
+        let mut sample: Vec<_> = points.iter().step_by(points.len().div_ceil(SAMPLED).max(1)).collect();
+        let strays = sample.len() / STRAYS;
+        let mut ends = |axis: usize| {
+            sample.sort_unstable_by(|a, b| a[axis].total_cmp(&b[axis]));
+            let at = |i: usize| sample.get(i).map_or(0.0, |p| p[axis]);
+            [at(strays), at((sample.len() - strays).saturating_sub(1))]
+        };
+        let [[x0, x1], [y0, y1], [z0, z1]] = [0, 1, 2].map(&mut ends);
+        let (low, high) = (Point3::new(x0, y0, z0), Point3::new(x1, y1, z1));
         let extent = (high - low).amax();
-        let extent = if extent.is_finite() { extent.max(1e-6) } else { 1.0 };
+        let extent = extent.max(1e-6);
         // Points of a scan lie on surfaces: n cells squared hold a few points each.
         let along = ((points.len() as f32 / 4.0).sqrt() as usize).clamp(1, MAX_CELLS);
         let cell = extent / along as f32;
@@ -176,13 +184,13 @@ mod tests {
         fn finds_what_a_search_through_all_finds(
             points in prop::collection::vec(prop::array::uniform3(-1.0f32..1.0), 0..200),
             flat in any::<bool>(),
-            far in any::<bool>(),
+            far in prop::sample::select(vec![0, 1, 200]),
             to in prop::array::uniform3(-2.0f32..2.0),
         ) {
             let mut points: Vec<_> =
                 points.into_iter().map(|[x, y, z]| Point3::new(x, y, if flat { 0.5 } else { z })).collect();
-            // A background in which what is near fills one cell.
-            points.extend((0..200).filter(|_| far).map(|i| Point3::new(i as f32, 200.0 - i as f32, 900.0)));
+            // Strays, and a background in which what is near fills one cell.
+            points.extend((0..far).map(|i| Point3::new(i as f32, 200.0 - i as f32, 900.0)));
             let index = NearestIndex::new(points.clone());
             let to = Point3::from(to);
             let mut all: Vec<(f32, u32)> = (0..points.len()).map(|i| ((points[i] - to).norm_squared(), i as u32)).collect();
@@ -196,5 +204,15 @@ mod tests {
                 prop_assert!(index.within(&to, reach, 7).len() <= near.min(7));
             }
         }
+    }
+
+    #[test]
+    fn a_stray_point_does_not_put_all_others_into_one_cell() {
+        let place = |i: usize| Point3::new((i % 71) as f32, (i / 71) as f32, (i % 13) as f32) * 0.01;
+        let points = (0..5000).map(place).chain([Point3::new(1e3, -2e3, 5e5)]).collect();
+        let index = NearestIndex::new(points);
+        let most = index.start.windows(2).map(|cell| cell[1] - cell[0]).max();
+        assert!(most < Some(100), "{most:?}");
+        assert_eq!(index.nearest::<1>(&Point3::new(999.0, -2e3, 5e5)), [(5000, 1.0)]);
     }
 }

@@ -2,7 +2,8 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use where2act_core::{
-    GRIPPER, Grasp, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, Seed, Timing,
+    GRIPPER, Grasp, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, PrimitivePrediction,
+    Seed, Timing,
 };
 use where2act_infer::{Backend, Error, Options, Output, Predictor, draw_overlay};
 use where2act_kernels::Isa;
@@ -533,7 +534,9 @@ fn a_million_points() {
     let observation = Observation::Cloud { points: ball(1_000_000, 0.5, 2.0) };
     let prediction = predictor(Modality::Cloud).predict(&observation, &Options::default()).unwrap();
     assert_eq!(prediction.input.width, 1_000_000);
-    assert!(prediction.primitives.iter().all(|p| !p.proposals.is_empty()));
+    // Whether fingers have room on both sides is luck with a network that has learnt nothing.
+    let unlucky = |p: &PrimitivePrediction| p.proposals.is_empty() && p.primitive != Primitive::Pulling;
+    assert!(!prediction.primitives.iter().any(unlucky));
 }
 
 /// A scan around its own origin has points beside the camera, whose projections have no bounds: what that overflows,
