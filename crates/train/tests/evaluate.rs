@@ -135,6 +135,20 @@ fn proposals_anywhere_count_where_nothing_moves_too() {
     assert!(markdown.contains("pixels, of whatever is seen") && markdown.contains(" | nothing moves |"));
 }
 
+#[test]
+fn cameras_can_be_held_otherwise() {
+    let (folder, _) = bench();
+    let (straight, markdown) = run(folder.path(), "--categories Faucet --episodes 1");
+    assert!(!markdown.contains("Cameras are"));
+    let (held, markdown) = run(folder.path(), "--categories Faucet --episodes 1 --roll 10 --beside -20");
+    check(&serde_json::from_str::<Report>(&held).unwrap().total);
+    assert!(
+        markdown.contains("Cameras are rolled by 10 degrees and turned about the vertical by -20."),
+        "{markdown}"
+    );
+    assert!(held != straight);
+}
+
 /// A drawer above a base. In the second object there is another one behind it, and both push each other apart; the third
 /// cannot be loaded.
 fn write_objects(folder: &Path) {

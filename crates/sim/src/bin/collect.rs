@@ -10,6 +10,7 @@ use clap::Parser;
 use where2act_core::program::{self, Progress};
 use where2act_core::{Category, Primitive, Seed};
 use where2act_sim::collect::{Collected, Collector, ObjectSet, Part, Plan, Recipe, categories_of};
+use where2act_sim::render::Held;
 
 /// Collects scenes and interaction trials into shards.
 ///
@@ -163,6 +164,7 @@ fn recipe(cli: &Cli) -> anyhow::Result<Recipe> {
         close: cli.close,
         randomise: cli.randomise,
         varied: cli.varied,
+        held: Held::default(),
         faithful: cli.faithful,
     })
 }

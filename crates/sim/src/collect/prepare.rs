@@ -118,6 +118,9 @@ impl Preparer {
             if close {
                 camera = close_up(&camera, settled.object(), &poses, rng);
             }
+            if !self.recipe.held.straight() {
+                camera = self.recipe.held.hold(&camera, &centre);
+            }
             let view = render(settled.object(), &poses, &camera, &look);
             (view.link.iter().filter(|&&l| l > 1).count() >= MIN_MOVABLE_PIXELS).then_some(view)
         })

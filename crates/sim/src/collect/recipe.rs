@@ -9,6 +9,7 @@ use where2act_core::{Category, Primitive, Seed, Split};
 
 use super::CollectError;
 use crate::object::{ObjectError, category_of, urdf_in};
+use crate::render::Held;
 use crate::trial::Mode;
 
 /// Variations that scenes draw from.
@@ -32,6 +33,9 @@ pub struct Recipe {
     /// Share of the scenes whose camera zooms in on the object: [`crate::render::close_up`].
     #[serde(default, skip_serializing_if = "is_zero")]
     pub close: f64,
+    /// How cameras are held: straight at the object and upright, if nothing is said.
+    #[serde(default, skip_serializing_if = "Held::straight")]
+    pub held: Held,
     /// Random light, paint, background and sensor instead of the published look, in three scenes of four.
     pub randomise: bool,
     /// Share of the scenes whose object is in other proportions and perhaps turned: [`crate::object::Object::varied`].
@@ -52,6 +56,7 @@ impl Default for Recipe {
             guided: 0.5,
             wide: false,
             close: 0.0,
+            held: Held::default(),
             randomise: false,
             varied: 0.0,
             faithful: false,

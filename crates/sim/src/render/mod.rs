@@ -28,7 +28,7 @@ pub use look::{Light, Look};
 pub use pattern::{Pattern, PatternKind};
 pub use sensor::Sensor;
 pub use view::View;
-pub use viewpoint::{close_up, front_camera, sample_camera, visible_bounds};
+pub use viewpoint::{Held, close_up, front_camera, sample_camera, visible_bounds};
 
 use crate::object::{Material, Mesh, Object};
 use backdrop::Behind;

@@ -2,8 +2,9 @@
 
 use std::f32::consts::{PI, TAU};
 
-use nalgebra::{Isometry3, Point2, Point3};
+use nalgebra::{Isometry3, Point2, Point3, UnitQuaternion, Vector3};
 use rand::{Rng, RngExt};
+use serde::{Deserialize, Serialize};
 use where2act_core::{Camera, ImageSize, Intrinsics};
 
 use crate::object::Object;
@@ -16,6 +17,40 @@ const LEAST_MARGIN: f32 = 1.05;
 const MOST_ZOOMED_OUT: f32 = 1.7;
 /// Share of the room beside the object by which it may be off the middle of the picture.
 const OFF_CENTRE: f32 = 0.7;
+
+/// How a camera is held that does not look straight at its target, degrees.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Held {
+    /// About its own axis, clockwise for who stands behind it.
+    pub roll: f32,
+    /// About the vertical, to the left.
+    pub beside: f32,
+}
+
+impl Held {
+    /// Whether it looks straight at its target, upright.
+    #[must_use]
+    pub fn straight(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// A camera that looks at `target` upright, held like this where it is. What it shows is the part of a wider picture that has
+    /// the target in the middle; beside the axis pictures are stretched, so the focal length is less.
+    #[must_use]
+    pub fn hold(&self, camera: &Camera, target: &Point3<f32>) -> Camera {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.beside.to_radians());
+        let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.roll.to_radians());
+        let mut held = *camera;
+        held.world_from_camera.rotation = turn * camera.world_from_camera.rotation * roll;
+        let seen = held.camera_from_world() * target;
+        let (stretch, Intrinsics { fx, fy, .. }) = ((seen.coords.norm() / seen.z).powi(2), camera.intrinsics);
+        let (fx, fy) = (fx / stretch, fy / stretch);
+        let middle = |length: usize, f: f32, off: f32| 0.5 * length as f32 - f * off / seen.z;
+        let (cx, cy) = (middle(camera.size.width, fx, seen.x), middle(camera.size.height, fy, seen.y));
+        Camera { intrinsics: Intrinsics { fx, fy, cx, cy }, ..held }
+    }
+}
 
 /// The camera that looks at an object, with its links at `world_from_links`, from the front, turned to the object's left by
 /// `azimuth` and above the horizon by `elevation`, radians: from the published distance, with the published field of view, `side`
@@ -137,6 +172,37 @@ mod tests {
         extents.sort_by(f32::total_cmp);
         assert!(extents[0] > 0.55 && extents[25] > 0.8 && extents[49] < 0.953, "{extents:?}");
         assert!(extents[0] < 0.7, "{extents:?}");
+    }
+
+    #[test]
+    fn however_a_camera_is_held_its_target_is_in_the_middle() {
+        let target = Point3::new(0.3, -0.2, 0.4);
+        let size = ImageSize::square(448);
+        let straight = Camera::orbit(target, 5.0, 0.7, 0.6, size, Camera::PUBLISHED_FOV);
+        for held in [Held { roll: 15.0, beside: 0.0 }, Held { roll: -8.0, beside: 30.0 }, Held::default()] {
+            let camera = held.hold(&straight, &target);
+            assert_eq!(
+                held.straight(),
+                (camera.world_from_camera.rotation == straight.world_from_camera.rotation)
+            );
+            assert_eq!(camera.world_from_camera.translation, straight.world_from_camera.translation);
+            let seen = camera.camera_from_world() * target;
+            let (x, y) = camera.intrinsics.project(&seen).unwrap();
+            assert!((x - 224.0).abs() < 0.01 && (y - 224.0).abs() < 0.01, "{x} {y}");
+            assert!((seen.coords.norm() - 5.0).abs() < 1e-4);
+            // Seen from 0.6 radians above, a turn about the vertical is less than that about the camera's own axis.
+            let off = (seen.x.hypot(seen.y) / seen.z).atan().to_degrees();
+            assert!(if held.beside > 0.0 { (20.0..29.0).contains(&off) } else { off < 0.01 }, "{off}");
+            // As far away as the target something is no larger than before.
+            let [before, now] = [&straight, &camera].map(|camera| {
+                let at = |offset| {
+                    camera.intrinsics.project(&(camera.camera_from_world() * (target + offset))).unwrap()
+                };
+                let ((x0, y0), (x1, y1)) = (at(Vector3::z() * 0.1), at(-Vector3::z() * 0.1));
+                (x1 - x0).hypot(y1 - y0)
+            });
+            assert!(now < 1.01 * before && now > 0.8 * before, "{now} {before}");
+        }
     }
 
     #[test]

@@ -9,6 +9,7 @@ use anyhow::bail;
 use clap::Parser;
 use where2act_core::{Category, Seed, Split, program};
 use where2act_sim::collect::{ObjectSet, categories_of};
+use where2act_sim::render::Held;
 use where2act_train::evaluate::EvaluateConfig;
 
 use shared::Work;
@@ -62,6 +63,13 @@ struct Args {
     /// and pictures are judged on the object alone too. Otherwise proposals are kept to the parts that move, as published.
     #[arg(long)]
     anywhere: bool,
+    /// Roll cameras about their axis by so many degrees.
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
+    roll: f32,
+    /// Turn cameras about the vertical by so many degrees: the object is beside their axis, and the view is the part of a wider
+    /// picture around it.
+    #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
+    beside: f32,
     /// Root of the randomness.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -85,8 +93,14 @@ fn run(args: &Args) -> anyhow::Result<()> {
         randomise: args.randomise,
         clearance: !args.no_clearance,
         anywhere: args.anywhere,
+        held: Held { roll: args.roll, beside: args.beside },
         ..EvaluateConfig::new(objects(args)?, args.episodes, Seed(args.seed))
     };
+    for (flag, found, most) in [("--roll", args.roll, 180.0), ("--beside", args.beside, 60.0)] {
+        if !(-most..=most).contains(&found) {
+            bail!("{flag}: expected degrees from {} to {most}, found {found}", -most);
+        }
+    }
     if config.proposals == 0 || config.scenes == 0 {
         bail!("--proposals and --episodes: expected at least 1");
     }

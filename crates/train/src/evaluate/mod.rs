@@ -18,6 +18,7 @@ use where2act_core::{Category, Policy, Primitive, Seed, Trial};
 use where2act_infer::{Options, Predictor};
 use where2act_sim::collect::{CollectError, ObjectSet, Preparer, Recipe, ScenePrep};
 use where2act_sim::object::ObjectError;
+use where2act_sim::render::Held;
 use where2act_sim::sampling::{Candidate, Sampler};
 
 pub use contestants::Contestant;
@@ -51,6 +52,9 @@ pub struct EvaluateConfig {
     /// pictures then come without a mask. Otherwise they are kept to movable parts, as published.
     #[serde(default)]
     pub anywhere: bool,
+    /// How cameras are held: straight at the object and upright, as published, if nothing is said.
+    #[serde(default, skip_serializing_if = "Held::straight")]
+    pub held: Held,
 }
 
 impl EvaluateConfig {
@@ -67,6 +71,7 @@ impl EvaluateConfig {
             randomise: false,
             clearance: true,
             anywhere: false,
+            held: Held::default(),
         }
     }
 
@@ -77,6 +82,7 @@ impl EvaluateConfig {
             trials: 0,
             wide: false,
             randomise: self.randomise,
+            held: self.held,
             ..Recipe::default()
         }
     }

@@ -99,7 +99,7 @@ impl Report {
                  sampled {0} drawn at random from all of them, whatever their score; a scene without any is a \
                  failure of each. Executed in the fast mode of the \
                  simulator. Scenes in which {1} trials that know the joint do not succeed with a primitive do not \
-                 count for it.",
+                 count for it.{held}",
                 config.proposals,
                 config.informed,
                 config.proposals.max(options.candidates),
@@ -109,6 +109,14 @@ impl Report {
                      trials beside are on movable parts),"
                 } else {
                     " of movable parts"
+                },
+                held = if config.held.straight() {
+                    String::new()
+                } else {
+                    format!(
+                        " Cameras are rolled by {} degrees and turned about the vertical by {}.",
+                        config.held.roll, config.held.beside
+                    )
                 },
                 room =
                     if config.clearance { ", without hands that have no room by the depth map" } else { "" },
