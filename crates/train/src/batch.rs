@@ -19,6 +19,7 @@ use crate::probes::{self, Ways};
 use crate::questions::{self, Ground, Question};
 use crate::replay::Replay;
 use crate::sensor;
+use crate::shown::Shown;
 use crate::step::Phase;
 use crate::teacher::{Desk, Lesson, Teacher, join};
 
@@ -208,13 +209,16 @@ impl Source {
         let ground = Ground::new(shard.link(id.scene), self.model.modality);
         let mut questions = questions::choose(&trials, &ground, &self.model, &self.config, rng);
         let mut places = questions::places(&ground, &self.model, &self.config, rng);
-        let mirrored = rng.random::<f32>() < self.config.mirrored;
-        if mirrored {
-            questions.iter_mut().for_each(Question::mirror);
-        }
+        let shown = Shown::draw(&self.config, rng);
+        questions.iter_mut().for_each(|question| shown.turn(question));
         // A scanner measures some pixels not at all, and those have no point to ask about.
         let foreground = match self.model.modality {
-            Modality::Rgb => Vec::new(),
+            Modality::Rgb => {
+                let inside = |pixel: Pixel| shown.pixel(picture_pixel(pixel), RGB_SIDE).is_some();
+                questions.retain(|q| inside(q.pixel));
+                places.retain(|(pixel, _)| inside(*pixel));
+                Vec::new()
+            }
             Modality::Cloud => {
                 let mut seen = shard.foreground(id.scene);
                 if rng.random::<f32>() < self.config.measured {
@@ -226,18 +230,18 @@ impl Source {
             }
         };
         let view = match self.model.modality {
-            Modality::Rgb => image_view(&shard.rgb(id.scene), &questions, &places, mirrored, &self.model),
-            Modality::Cloud => cloud_view(&foreground, &questions, &places, mirrored, &self.model, rng),
+            Modality::Rgb => image_view(shard.rgb(id.scene), &questions, &places, shown, &self.model),
+            Modality::Cloud => cloud_view(&foreground, &questions, &places, shown, &self.model, rng),
         };
         let fail = |source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source };
         let mut view = view.map_err(fail)?;
         let pixels = questions.iter().map(|q| q.pixel).chain(places.iter().map(|(pixel, _)| *pixel));
         let pixels: Vec<Pixel> = pixels.collect();
-        view.seen = seen_at(shard, id.scene, pixels.iter().copied(), mirrored);
+        view.seen = seen_at(shard, id.scene, pixels.iter().copied(), shown);
         if let Some(teacher) = &self.teacher {
             let (foreground, link) = (shard.foreground(id.scene), shard.link(id.scene));
             view.desk =
-                desk(teacher, foreground, link, &pixels, questions.len(), mirrored, rng).map_err(fail)?;
+                desk(teacher, foreground, link, &pixels, questions.len(), shown, rng).map_err(fail)?;
         }
         Ok(view)
     }
@@ -262,7 +266,7 @@ fn deal(scenes: &[SceneId], count: usize, step: usize, seed: Seed) -> Vec<SceneI
 
 /// What the scene knows of what is seen at some pixels. Nobody knows where the scanner measured nothing, nor the ways in
 /// data that was collected without them.
-fn seen_at(shard: &Shard, scene: usize, pixels: impl Iterator<Item = Pixel>, mirrored: bool) -> Vec<Seen> {
+fn seen_at(shard: &Shard, scene: usize, pixels: impl Iterator<Item = Pixel>, shown: Shown) -> Vec<Seen> {
     let (camera, depth, link) = (shard.camera(scene), shard.depth(scene), shard.link(scene));
     let freedoms = &shard.scenes()[scene].freedoms;
     let point = |pixel: Pixel| {
@@ -274,7 +278,7 @@ fn seen_at(shard: &Shard, scene: usize, pixels: impl Iterator<Item = Pixel>, mir
         0 | 1 => Some(Ways::default()),
         id => Some(probes::ways(freedoms.get(usize::from(id) - 2)?, &point(pixel)?)),
     };
-    let turned = |v: Vector3<f32>| if mirrored { Vector3::new(-v.x, v.y, v.z) } else { v };
+    let turned = |v: Vector3<f32>| shown.direction(v);
     let seen = |pixel| {
         let normal = probes::normal(pixel, camera.size, point);
         (ways(pixel).map(|ways| ways.map(turned)), normal.map(turned))
@@ -290,7 +294,7 @@ fn desk(
     link: &[u8],
     pixels: &[Pixel],
     trials: usize,
-    mirrored: bool,
+    shown: Shown,
     rng: &mut ChaCha8Rng,
 ) -> Result<Option<Desk>, PreprocessError> {
     let size = ImageSize::square(DEPTH_SIDE);
@@ -300,18 +304,13 @@ fn desk(
     of_trials.truncate(teacher.places() / 3);
     of_parts.truncate(teacher.places() - of_trials.len());
     let asked: Vec<(usize, Point3<f32>)> = (of_trials.into_iter().chain(of_parts))
-        .filter_map(|i| Some((i, mirrored_if(mirrored, point_of(&foreground, pixels[i])?))))
+        .filter_map(|i| Some((i, shown.point(point_of(&foreground, pixels[i])?))))
         .collect();
     if asked.is_empty() {
         return Ok(None);
     }
-    let points: Vec<_> = foreground.into_iter().map(|(_, point)| mirrored_if(mirrored, point)).collect();
+    let points: Vec<_> = foreground.into_iter().map(|(_, point)| shown.point(point)).collect();
     teacher.desk(&points, &asked, rng).map(Some)
-}
-
-/// A point as a mirror shows it that swaps left and right.
-fn mirrored_if(mirrored: bool, point: Point3<f32>) -> Point3<f32> {
-    if mirrored { Point3::new(-point.x, point.y, point.z) } else { point }
 }
 
 /// Rows of a batch's places, trials of all views first, for places of each view, which count its own trials first.
@@ -334,20 +333,17 @@ pub(crate) fn picture_pixel(pixel: Pixel) -> Pixel {
 }
 
 fn image_view(
-    rgb: &[[u8; 3]],
+    rgb: Vec<[u8; 3]>,
     questions: &[Question],
     places: &[(Pixel, usize)],
-    mirrored: bool,
+    shown: Shown,
     model: &ModelConfig,
 ) -> Result<View, PreprocessError> {
-    let mut input = ImageInput::new(ImageSize::square(RGB_SIDE), rgb, None, &model.preprocessing)?;
-    let side = model.preprocessing.image_side;
-    if mirrored {
-        input.values.chunks_exact_mut(side).for_each(<[f32]>::reverse);
-    }
+    let rgb = shown.picture(rgb, RGB_SIDE);
+    let input = ImageInput::new(ImageSize::square(RGB_SIDE), &rgb, None, &model.preprocessing)?;
     let place = |pixel: Pixel| {
-        let index = input.letterbox.network_index(picture_pixel(pixel));
-        if mirrored { index / side * side + (side - 1 - index % side) } else { index }
+        let pixel = picture_pixel(pixel);
+        input.letterbox.network_index(shown.pixel(pixel, RGB_SIDE).unwrap_or(pixel))
     };
     Ok(View {
         trials: questions.iter().map(|q| (place(q.pixel), q.output, q.orientation, q.success)).collect(),
@@ -369,17 +365,16 @@ fn cloud_view(
     foreground: &[(Pixel, Point3<f32>)],
     questions: &[Question],
     places: &[(Pixel, usize)],
-    mirrored: bool,
+    shown: Shown,
     model: &ModelConfig,
     rng: &mut ChaCha8Rng,
 ) -> Result<View, PreprocessError> {
-    let seen = |point: Point3<f32>| mirrored_if(mirrored, point);
-    let points: Vec<_> = foreground.iter().map(|(_, point)| seen(*point)).collect();
+    let points: Vec<_> = foreground.iter().map(|(_, point)| shown.point(*point)).collect();
     let cloud = CloudInput::new(&points, CloudScale::PerMetre(1.0), model, rng)?;
     let asked = questions.iter().map(|q| q.pixel).chain(places.iter().map(|(pixel, _)| *pixel));
     let targets: Vec<f32> = asked
         .filter_map(|pixel| point_of(foreground, pixel))
-        .flat_map(|point| <[f32; 3]>::from(cloud.network_from_metres(&seen(point))))
+        .flat_map(|point| <[f32; 3]>::from(cloud.network_from_metres(&shown.point(point))))
         .collect();
     let n = questions.len();
     let hand =
@@ -486,8 +481,10 @@ mod tests {
             (0..DEPTH_SIDE * DEPTH_SIDE).map(|i| if i < 30 * DEPTH_SIDE { 1 } else { 2 }).collect();
         let pixels: Vec<Pixel> = (0..40).map(|i| pixel(9 * i)).collect();
         for mirrored in [false, true] {
+            let always = BatchConfig { mirrored: f32::from(u8::from(mirrored)), ..BatchConfig::default() };
+            let shown = Shown::draw(&always, &mut Seed(2).rng());
             let ask = |pixels: &[Pixel]| {
-                desk(&teacher, foreground.clone(), &link, pixels, 30, mirrored, &mut Seed(3).rng()).unwrap()
+                desk(&teacher, foreground.clone(), &link, pixels, 30, shown, &mut Seed(3).rng()).unwrap()
             };
             let asked = ask(&pixels).unwrap();
             assert_eq!(asked.places.iter().filter(|place| **place < 30).count(), 2);

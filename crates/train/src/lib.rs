@@ -24,6 +24,7 @@ mod questions;
 mod replay;
 pub mod run;
 mod sensor;
+mod shown;
 mod split;
 mod start;
 pub mod step;

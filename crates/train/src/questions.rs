@@ -32,6 +32,13 @@ impl Question {
         Self { pixel, output, primitive, orientation, success: verdict.success, from_behind }
     }
 
+    /// A question of no scene.
+    #[cfg(test)]
+    pub(crate) fn example(primitive: Primitive, orientation: [f32; 6]) -> Self {
+        let pixel = Pixel { u: 0, v: 0 };
+        Self { pixel, output: 0, primitive, orientation, success: true, from_behind: false }
+    }
+
     /// The question about the scene as a mirror shows it, left and right swapped; its pixel stays that of the unmirrored
     /// view.
     pub(crate) fn mirror(&mut self) {

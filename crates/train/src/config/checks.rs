@@ -105,6 +105,7 @@ impl TrainConfig {
             ("batch.flipped", batch.flipped),
             ("batch.fixed", batch.fixed),
             ("batch.mirrored", batch.mirrored),
+            ("batch.rolled", batch.rolled),
             ("batch.measured", batch.measured),
         ] {
             check_share(field, share)?;

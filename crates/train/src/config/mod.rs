@@ -125,6 +125,8 @@ pub struct BatchConfig {
     pub fixed: f32,
     /// Share of the views that are shown mirrored.
     pub mirrored: f32,
+    /// Share of the views whose camera is not upright: rolled about its axis by up to 20 degrees.
+    pub rolled: f32,
     /// Whether hands that push or pull are turned half round about their approach at random, which changes nothing.
     pub half_turns: bool,
     /// Further places of a view at which only actionability is learnt, and what the scene knows. Of those on parts that move,
@@ -299,6 +301,7 @@ impl Default for BatchConfig {
             flipped: 0.25,
             fixed: 0.0,
             mirrored: 0.0,
+            rolled: 0.0,
             half_turns: false,
             places_per_view: 16,
             looks_per_view: 128,

@@ -341,7 +341,8 @@ impl Run<'_> {
         }
         let scenes: Vec<SceneId> = spread(&self.validation_scenes, VALIDATION_SCENES).copied().collect();
         let mut source = Source::new(self.dataset.clone(), &scenes, Arc::default(), self.config, Phase::Look);
-        source.config = BatchConfig { mirrored: 0.0, measured: 0.0, places_per_view: 64, ..source.config };
+        source.config =
+            BatchConfig { mirrored: 0.0, rolled: 0.0, measured: 0.0, places_per_view: 64, ..source.config };
         let batches = scenes.len().div_ceil(source.config.views);
         let mut sum = 0.0;
         for step in 0..batches {
