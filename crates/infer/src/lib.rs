@@ -101,6 +101,12 @@
 //! points: the lengths of the hand's motion stay those of the real hand. `Options::network_from_metres` overrides it.
 //! Without depth there is no scale, and proposals are pixels and orientations only.
 //!
+//! # Objects beside the middle of a picture
+//!
+//! In training cameras look at the object, and are upright. What a network for pictures proposes for an object more than 5 degrees
+//! off the camera's axis is that of a camera turned to it by the shortest way; with intrinsics it is turned back from there. That
+//! is for networks that look at the square around a mask. Networks for scans do as well beside the middle as in it.
+//!
 //! # Features
 //!
 //! `bundled-weights` builds the workspace's `weights/rgb` and `weights/cloud` into the program, for installations of one
@@ -118,6 +124,7 @@ mod decode;
 mod dense;
 mod draw;
 mod error;
+mod gaze;
 mod nearest;
 mod options;
 mod pose;

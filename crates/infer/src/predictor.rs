@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::Path;
 use std::time::Instant;
 
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use where2act_core::{
     ActionabilitySummary, InputInfo, ModelInfo, Observation, PREDICTION_SCHEMA, Pixel, Prediction, Primitive,
@@ -229,9 +230,10 @@ impl Predictor {
         let places: Vec<_> = candidates.iter().map(|&row| prepared.place(row)).collect();
         let room = |place: &Place| if options.clearance { prepared.room(place, primitive) } else { None };
         let rooms: Vec<Option<Room>> = places.iter().map(room).collect();
+        let in_camera = |hand: &Scored| prepared.camera_from_gaze * hand.rotation;
         let fits = |hand: &Scored| {
             let room = rooms.get(hand.candidate).and_then(Option::as_ref);
-            room.is_none_or(|room| room.fits(primitive, &hand.rotation))
+            room.is_none_or(|room| room.fits(primitive, &in_camera(hand)))
         };
         let tried = self.heads.propose(features, &candidates, output, codes)?;
         let looking = match &prepared.input {
@@ -242,7 +244,8 @@ impl Predictor {
             looking.is_none() && rooms.iter().all(Option::is_none) && options.proposals_per_pixel() == 1;
         let mut scored = Vec::new();
         for (candidate, (place, tried)) in places.iter().zip(tried).enumerate() {
-            scored.extend(possible(&tried, place, best_alone).into_iter().map(|sample| {
+            let normal = place.normal.map(|normal| prepared.camera_from_gaze.inverse() * normal);
+            scored.extend(possible(&tried, normal, best_alone).into_iter().map(|sample| {
                 let (rotation, score) = (tried.rotation(sample), tried.scores.get(sample).copied());
                 Scored { candidate, pixel: place.pixel, rotation, score: score.unwrap_or(0.0) }
             }));
@@ -269,7 +272,7 @@ impl Predictor {
                 let numbers = (s.score, actionability);
                 Some(Proposal {
                     rank: i + 1,
-                    ..proposal(primitive, s.pixel, place.point, &s.rotation, numbers)
+                    ..proposal(primitive, s.pixel, place.point, &in_camera(&s), numbers)
                 })
             })
             .collect();
@@ -278,10 +281,10 @@ impl Predictor {
     }
 }
 
-/// Samples whose hand does not come out of the surface - trials that try count as failures - or the best of them.
-fn possible(tried: &Tried, place: &Place, best_alone: bool) -> Vec<usize> {
-    let outwards =
-        |sample: usize| place.normal.is_some_and(|normal| normal.dot(&tried.approach(sample)) > 0.0);
+/// Samples whose hand does not come out of the surface, of which this is the normal in the hands' frame - trials that try count as
+/// failures - or the best of them.
+fn possible(tried: &Tried, normal: Option<Vector3<f32>>, best_alone: bool) -> Vec<usize> {
+    let outwards = |sample: usize| normal.is_some_and(|normal| normal.dot(&tried.approach(sample)) > 0.0);
     let score = |sample: usize| tried.scores.get(sample).copied().unwrap_or(f32::NEG_INFINITY);
     let all = (0..tried.scores.len()).filter(|&sample| !outwards(sample));
     if best_alone {
@@ -351,7 +354,7 @@ pub(crate) fn reads(modality: Modality) -> &'static str {
 pub(crate) struct Place {
     pub(crate) pixel: Pixel,
     /// In metres.
-    pub(crate) point: Option<nalgebra::Point3<f32>>,
+    pub(crate) point: Option<Point3<f32>>,
     /// Of the surface, towards the camera.
-    pub(crate) normal: Option<nalgebra::Vector3<f32>>,
+    pub(crate) normal: Option<Vector3<f32>>,
 }

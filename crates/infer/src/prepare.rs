@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::{ImageSize, Observation, Pixel, Primitive, is_measured};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError};
 use where2act_model::{Modality, ModelConfig};
@@ -13,6 +13,7 @@ use crate::backbone::NetworkInput;
 use crate::clearance::{GRIP_REACH, REACH, Room};
 use crate::decode::Places;
 use crate::dense::{Geometry, on_object, seen_point};
+use crate::gaze::gaze;
 use crate::nearest::NearestIndex;
 use crate::predictor::{Place, reads};
 use crate::surface::{DepthView, normal};
@@ -55,6 +56,8 @@ pub(crate) struct Prepared<'a> {
     /// ... and all its points, once they are asked for.
     scan_index: OnceLock<NearestIndex>,
     pub(crate) network_from_metres: f32,
+    /// The camera's frame from that in which the network knows directions.
+    pub(crate) camera_from_gaze: Rotation3<f32>,
 }
 
 impl<'a> Prepared<'a> {
@@ -87,7 +90,7 @@ impl<'a> Prepared<'a> {
     }
 
     fn picture(observation: &'a Observation, config: &ModelConfig, options: &Options) -> Result<Self, Error> {
-        let Observation::Image { size, rgb: Some(rgb), mask, .. } = observation else {
+        let Observation::Image { size, rgb: Some(rgb), mask, intrinsics, .. } = observation else {
             return Err(Error::invalid("observation", "a picture", "none"));
         };
         let ImageInput { values, letterbox } =
@@ -122,6 +125,8 @@ impl<'a> Prepared<'a> {
             let what = if masked { "mask" } else { "region" };
             return Err(Error::NothingThere { what });
         }
+        let camera_from_gaze =
+            intrinsics.map_or_else(Rotation3::identity, |camera| gaze(&letterbox.window.middle(&camera)));
         Ok(Self {
             input: NetworkInput::Picture { values, side },
             places,
@@ -135,6 +140,7 @@ impl<'a> Prepared<'a> {
             scan: None,
             scan_index: OnceLock::new(),
             network_from_metres: 1.0,
+            camera_from_gaze,
         })
     }
 
@@ -194,6 +200,7 @@ impl<'a> Prepared<'a> {
             surface: Some(surface),
             scan,
             scan_index: OnceLock::new(),
+            camera_from_gaze: Rotation3::identity(),
         })
     }
 

@@ -28,7 +28,8 @@ pub(crate) struct ScoringHeads {
     device: Device,
 }
 
-/// A hand in the camera frame, what it is to do, and the pixel that shows its contact point, if the input is a picture.
+/// A hand, its contact point in the camera frame and its orientation in that in which the network knows directions; what it is to
+/// do, and the pixel that shows its contact point, if the input is a picture.
 #[derive(Clone, Copy)]
 struct Asked {
     primitive: Primitive,
@@ -115,8 +116,11 @@ fn seen(
         }
         Observation::Cloud { .. } => Pixel { u: 0, v: 0 },
     };
-    let shown = prepared.shows(&point, pixel, FROM_SURFACE);
-    shown.then(|| Asked { primitive, point, orientation: Orientation6::from_rotation(&rotation), pixel })
+    if !prepared.shows(&point, pixel, FROM_SURFACE) {
+        return None;
+    }
+    let orientation = Orientation6::from_rotation(&(prepared.camera_from_gaze.inverse() * rotation));
+    Some(Asked { primitive, point, orientation, pixel })
 }
 
 impl Asked {
@@ -237,6 +241,7 @@ mod tests {
 
     use super::*;
     use crate::Backend;
+    use crate::gaze::gaze;
 
     fn predictor_with(
         change: impl FnOnce(&mut ModelConfig),
@@ -270,6 +275,15 @@ mod tests {
         }
     }
 
+    /// The same beside the middle of a larger picture, of which this is a part: 29 degrees off the axis.
+    fn step_beside() -> Observation {
+        let mut step = step();
+        if let Observation::Image { intrinsics: Some(Intrinsics { cx, .. }), .. } = &mut step {
+            *cx += 150.0;
+        }
+        step
+    }
+
     fn scan() -> Observation {
         Observation::Cloud {
             points: step().foreground_points().into_iter().map(|(_, point)| point).collect(),
@@ -280,7 +294,8 @@ mod tests {
         let pictures = [Backend::Fast, Backend::Flex].map(|b| (predictor(Modality::Rgb, false, b), step()));
         let scans = [Backend::Fast, Backend::Flex].map(|b| (predictor(Modality::Cloud, true, b), scan()));
         let once = (predictor(Modality::Cloud, false, Backend::Fast), step());
-        pictures.into_iter().chain(scans).chain([once]).collect()
+        let beside = (predictor(Modality::Rgb, false, Backend::Fast), step_beside());
+        pictures.into_iter().chain(scans).chain([once, beside]).collect()
     }
 
     fn scaled(network_from_metres: f32) -> Options {
@@ -339,11 +354,37 @@ mod tests {
     }
 
     #[test]
+    fn a_picture_beside_the_middle_is_proposed_for_as_by_a_camera_that_looks_there() {
+        let turn = gaze(&Point3::new((112.0 - 271.0) / 280.0, 0.0, 1.0));
+        assert!((turn.angle().to_degrees() - 29.6).abs() < 0.1);
+        let Observation::Image { size, rgb, intrinsics, mask, .. } = step_beside() else { unreachable!() };
+        let predictor = predictor(Modality::Rgb, false, Backend::Fast);
+        let [beside, looked_at] = [intrinsics, None].map(|intrinsics| {
+            let picture =
+                Observation::Image { size, rgb: rgb.clone(), depth: None, intrinsics, mask: mask.clone() };
+            predictor.predict(&picture, &Options::default()).unwrap().primitives
+        });
+        for (found, expected) in beside.iter().zip(&looked_at) {
+            assert_eq!(found.proposals.len(), expected.proposals.len());
+            for (found, expected) in found.proposals.iter().zip(&expected.proposals) {
+                assert_eq!((found.pixel, found.score), (expected.pixel, expected.score));
+                for (found, expected) in
+                    [(found.approach, expected.approach), (found.forward, expected.forward)]
+                {
+                    let off = turn * Vector3::from(expected) - Vector3::from(found);
+                    assert!(off.norm() < 1e-5, "{off}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn a_mirror_image_is_scored_as_what_it_shows() {
         // Points of a scan are drawn by their order, which a mirror leaves as it is.
-        let of_pictures = (predictor(Modality::Rgb, false, Backend::Fast), step());
+        let of_pictures =
+            [step(), step_beside()].map(|view| (predictor(Modality::Rgb, false, Backend::Fast), view));
         let of_scans = (predictor(Modality::Cloud, true, Backend::Fast), scan());
-        for (predictor, view) in [of_pictures, of_scans] {
+        for (predictor, view) in of_pictures.into_iter().chain([of_scans]) {
             assert_eq!(mirrored(&mirrored(&view)), view);
             let hands: Vec<_> =
                 proposed(&predictor, &view, &scaled(1.0)).into_iter().map(|(hand, _)| hand).collect();

@@ -11,8 +11,10 @@ use where2act_infer::read::{
     DepthMap, parse_depth_png, parse_mask, parse_npy, parse_pcd, parse_picture, parse_ply, parse_scan,
 };
 
-/// An EXIF block with nothing but "turn by a quarter".
-const EXIF_TURNED: &[u8] = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+/// An EXIF block: turn by a quarter, and 26 mm as on film.
+const EXIF: &[u8] =
+    b"II*\0\x08\0\0\0\x02\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\x69\x87\x04\0\x01\0\0\0\x26\0\0\0\0\0\0\0\
+    \x01\0\x05\xa4\x03\0\x01\0\0\0\x1a\0\0\0\0\0\0\0";
 
 /// Sound files of every kind that is read.
 fn sound() -> Vec<(&'static str, Vec<u8>)> {
@@ -26,7 +28,7 @@ fn sound() -> Vec<(&'static str, Vec<u8>)> {
     }));
     let mut turned = Vec::new();
     let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut turned);
-    encoder.set_exif_metadata(EXIF_TURNED.to_vec()).unwrap();
+    encoder.set_exif_metadata(EXIF.to_vec()).unwrap();
     rgb.write_with_encoder(encoder).unwrap();
     let depth = image::ImageBuffer::from_fn(9, 7, |x, y| image::Luma([(1000 + 30 * x + y) as u16]));
     let row = |i: usize| [i as f32 * 0.1, 1.0, 2.0 + i as f32];
@@ -134,8 +136,9 @@ fn sound_files_are_read() {
         }
     }
     let file = |wanted| sound().into_iter().find(|(kind, _)| *kind == wanted).unwrap().1;
-    let size = parse_picture(&file("turned jpg")).unwrap().size;
-    assert_eq!((size.width, size.height), (13, 19));
+    let photo = parse_picture(&file("turned jpg")).unwrap();
+    assert_eq!((photo.size.width, photo.size.height), (13, 19));
+    assert!(photo.camera.is_some());
     // The points of the scan as a depth map of 5 x 3.
     assert_eq!(DepthMap::from_npy(&file("npy"), 1.0).unwrap().metres.len(), 15);
     assert!((parse_depth_png(&file("depth png"), 0.001).unwrap().metres[10] - 1.031).abs() < 1e-6);

@@ -2,6 +2,7 @@
 
 use std::io::Cursor;
 
+use exif::{Field, In, Tag, Value};
 use image::codecs::jpeg::JpegEncoder;
 use image::{DynamicImage, ImageEncoder, ImageFormat};
 use nalgebra::Point3;
@@ -171,6 +172,47 @@ fn exif_turns_pictures_upright() {
     assert_eq!((read.size.width, read.size.height), (16, 32));
     let [upper, lower] = [read.rgb[8 * 16 + 8], read.rgb[24 * 16 + 8]];
     assert!(upper[0] > 200 && lower[2] > 200, "left becomes up: {upper:?} {lower:?}");
+}
+
+/// A jpeg of `size` with an EXIF block of such numbers.
+fn photo(size: [u32; 2], fields: &[(Tag, u16)]) -> Vec<u8> {
+    let short = |&(tag, value)| Field { tag, ifd_num: In::PRIMARY, value: Value::Short(vec![value]) };
+    let fields: Vec<Field> = fields.iter().map(short).collect();
+    let mut writer = exif::experimental::Writer::new();
+    fields.iter().for_each(|field| writer.push_field(field));
+    let mut block = Cursor::new(Vec::new());
+    writer.write(&mut block, true).unwrap();
+    let mut bytes = Vec::new();
+    let mut encoder = JpegEncoder::new(&mut bytes);
+    encoder.set_exif_metadata(block.into_inner()).unwrap();
+    encoder.encode_image(&image::RgbImage::new(size[0], size[1])).unwrap();
+    bytes
+}
+
+#[test]
+fn a_photo_tells_its_camera() {
+    // 26 mm on film is an angle of 79.5 degrees from corner to corner, whichever way the picture is turned and scaled.
+    let sides = [(Tag::PixelXDimension, 4000), (Tag::PixelYDimension, 3000)];
+    let of_phone = [(Tag::FocalLengthIn35mmFilm, 26)];
+    let turned = [(Tag::Orientation, 6)];
+    for fields in
+        [of_phone.to_vec(), [&sides[..], &of_phone].concat(), [&turned[..], &sides, &of_phone].concat()]
+    {
+        let read = parse_picture(&photo([400, 300], &fields)).unwrap();
+        let camera = read.camera.unwrap();
+        let angle = 2.0 * (250.0 / camera.fx).atan().to_degrees();
+        assert!((angle - 79.5).abs() < 0.1 && camera.fx == camera.fy, "{angle}");
+        let middle = (read.size.width as f32 / 2.0, read.size.height as f32 / 2.0);
+        assert_eq!((camera.cx, camera.cy), middle);
+        assert_eq!(read.size.width == 300, fields.contains(&turned[0]));
+    }
+    let cut_out = parse_picture(&photo([300, 300], &[&sides[..], &of_phone].concat()));
+    let unknown = parse_picture(&photo([400, 300], &[(Tag::FocalLengthIn35mmFilm, 0)]));
+    let without = parse_picture(&photo([400, 300], &sides));
+    let no_sides = [(Tag::PixelXDimension, 0), (Tag::PixelYDimension, 0), of_phone[0]];
+    for read in [cut_out, unknown, without, parse_picture(&photo([400, 300], &no_sides))] {
+        assert_eq!(read.unwrap().camera, None);
+    }
 }
 
 #[test]

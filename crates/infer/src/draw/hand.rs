@@ -8,7 +8,7 @@
 //! ```
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
-use where2act_core::{GRIPPER, Intrinsics, Primitive, Proposal};
+use where2act_core::{Camera, GRIPPER, Intrinsics, Primitive, Proposal};
 
 use super::canvas::{Canvas, Rgba, Xy};
 use super::labels::Taken;
@@ -81,7 +81,7 @@ struct Hand {
 
 /// Where the hand touches.
 enum Contact {
-    /// In space, seen through a camera.
+    /// In space, seen through a camera; as far as the objects of training without depth.
     Point(Point3<f32>, Intrinsics),
     /// Only in the picture; the hand is seen as from far away.
     Pixel(Xy),
@@ -92,13 +92,16 @@ impl Hand {
         // The array holds rows; nalgebra reads columns.
         let rotation = Rotation3::from_matrix_unchecked(Matrix3::from(proposal.rotation).transpose());
         let per_metre = span / 0.1;
-        if let (Some(point), Some(intrinsics)) = (proposal.point, lens.intrinsics) {
-            let point = Point3::from(point);
-            intrinsics.project(&point)?;
-            let scale = (per_metre * point.z / intrinsics.fx).max(1.0);
-            return Some(Self { rotation, contact: Contact::Point(point, intrinsics), scale });
-        }
-        Some(Self { rotation, contact: Contact::Pixel(lens.centre(proposal.pixel)), scale: per_metre })
+        let pixel = lens.centre(proposal.pixel);
+        let Some(camera) = lens.intrinsics else {
+            return Some(Self { rotation, contact: Contact::Pixel(pixel), scale: per_metre });
+        };
+        let on_ray = || camera.back_project(pixel.0, pixel.1, Camera::PUBLISHED_DISTANCE);
+        let point = proposal.point.map_or_else(on_ray, Point3::from);
+        camera.project(&point)?;
+        let enlarged = per_metre * point.z / camera.fx;
+        let scale = if proposal.point.is_some() { enlarged.max(1.0) } else { enlarged };
+        Some(Self { rotation, contact: Contact::Point(point, camera), scale })
     }
 
     /// Canvas position of a point given along the hand's axes, metres from the contact.

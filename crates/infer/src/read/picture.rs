@@ -2,9 +2,10 @@
 
 use std::io::Cursor;
 
+use exif::{In, Tag};
 use image::metadata::Orientation;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
-use where2act_core::ImageSize;
+use where2act_core::{ImageSize, Intrinsics};
 
 use super::npy::parse_npy;
 use crate::Malformed;
@@ -15,9 +16,13 @@ pub const MAX_PIXELS: u64 = 100_000_000;
 const SATURATED: f32 = u16::MAX as f32;
 /// Longest side of a picture, pixels.
 const MAX_SIDE: u32 = 65_535;
+/// Diagonal of a picture on 35 mm film, of 36 by 24 mm.
+const FILM_DIAGONAL: f32 = 43.27;
+/// A picture whose proportions differ by more than this share from those in its EXIF block was cut out of a larger one.
+const SAME_PROPORTIONS: f32 = 0.01;
 
 /// A colour picture.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     /// Width and height.
     pub size: ImageSize,
@@ -28,6 +33,9 @@ pub struct Picture {
     /// Whether its EXIF block had it turned or mirrored: a depth map and the intrinsics are those of the sensor, as which the
     /// picture is not any more.
     pub turned: bool,
+    /// The camera, if the EXIF block says its focal length as for 35 mm film: square pixels, the axis in the middle of the
+    /// picture as it is here, upright. Some per cent off, as such numbers are.
+    pub camera: Option<Intrinsics>,
 }
 
 /// Distances along the optical axis.
@@ -61,10 +69,11 @@ impl DepthMap {
 /// # Errors
 /// If the bytes are not such a picture, or it is larger than [`MAX_PIXELS`].
 pub fn parse_picture(bytes: &[u8]) -> Result<Picture, Malformed> {
-    let (mut picture, orientation) = decode(bytes)?;
+    let Decoded { mut picture, orientation, exif } = decode(bytes)?;
     picture.apply_orientation(orientation);
     let size = ImageSize { width: picture.width() as usize, height: picture.height() as usize };
     let turned = orientation != Orientation::NoTransforms;
+    let camera = exif.and_then(|exif| camera(exif, size));
     let (rgb, opaque) = if picture.color().has_alpha() {
         let picture = picture.into_rgba8();
         let opaque: Vec<bool> = picture.pixels().map(|p| p.0[3] > 127).collect();
@@ -72,7 +81,7 @@ pub fn parse_picture(bytes: &[u8]) -> Result<Picture, Malformed> {
     } else {
         (picture.into_rgb8(), None)
     };
-    Ok(Picture { size, rgb: rgb.as_raw().as_chunks().0.to_vec(), opaque, turned })
+    Ok(Picture { size, rgb: rgb.as_raw().as_chunks().0.to_vec(), opaque, turned, camera })
 }
 
 /// Metres of an integer depth.
@@ -85,7 +94,7 @@ fn measured(units: f32, metres_per_unit: f32) -> f32 {
 /// # Errors
 /// As [`parse_picture`]; 8-bit and colour pictures are no depth.
 pub fn parse_depth_png(bytes: &[u8], metres_per_unit: f32) -> Result<DepthMap, Malformed> {
-    let (picture, _) = decode(bytes)?;
+    let Decoded { picture, .. } = decode(bytes)?;
     let found = picture.color();
     let DynamicImage::ImageLuma16(depth) = picture else {
         return Err(Malformed::new("a 16-bit greyscale png", format!("{found:?} pixels")));
@@ -102,14 +111,37 @@ pub fn parse_depth_png(bytes: &[u8], metres_per_unit: f32) -> Result<DepthMap, M
 /// # Errors
 /// As [`parse_picture`].
 pub fn parse_mask(bytes: &[u8]) -> Result<(ImageSize, Vec<bool>), Malformed> {
-    let (mut picture, orientation) = decode(bytes)?;
+    let Decoded { mut picture, orientation, .. } = decode(bytes)?;
     picture.apply_orientation(orientation);
     let grey = picture.into_luma_alpha8();
     let size = ImageSize { width: grey.width() as usize, height: grey.height() as usize };
     Ok((size, grey.pixels().map(|p| p.0.iter().all(|&x| x > 127)).collect()))
 }
 
-fn decode(bytes: &[u8]) -> Result<(DynamicImage, Orientation), Malformed> {
+/// The camera by an EXIF block; `None` if that says too little, or belongs to a picture of other proportions.
+fn camera(exif: Vec<u8>, ImageSize { width, height }: ImageSize) -> Option<Intrinsics> {
+    let block = exif::Reader::new().read_raw(exif).ok()?;
+    let number = |tag| Some(block.get_field(tag, In::PRIMARY)?.value.get_uint(0)? as f32);
+    let (width, height) = (width as f32, height as f32);
+    let proportions = |a: f32, b: f32| a.max(b) / a.min(b);
+    if let (Some(a), Some(b)) = (number(Tag::PixelXDimension), number(Tag::PixelYDimension)) {
+        let off = proportions(a, b) / proportions(width, height) - 1.0;
+        let whole = off.abs() <= SAME_PROPORTIONS;
+        whole.then_some(())?;
+    }
+    let focal = number(Tag::FocalLengthIn35mmFilm).filter(|millimetres| *millimetres > 0.0)?;
+    let f = focal / FILM_DIAGONAL * width.hypot(height);
+    Some(Intrinsics { fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height })
+}
+
+/// A picture as it is stored, and what its EXIF block says.
+struct Decoded {
+    picture: DynamicImage,
+    orientation: Orientation,
+    exif: Option<Vec<u8>>,
+}
+
+fn decode(bytes: &[u8]) -> Result<Decoded, Malformed> {
     let damaged = |e: image::ImageError| Malformed::new("a sound png, jpeg or webp picture", e.to_string());
     let mut reader = ImageReader::new(Cursor::new(bytes))
         .with_guessed_format()
@@ -134,7 +166,8 @@ fn decode(bytes: &[u8]) -> Result<(DynamicImage, Orientation), Malformed> {
     }
     // A damaged EXIF block is no reason to refuse a sound picture.
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    Ok((DynamicImage::from_decoder(decoder).map_err(damaged)?, orientation))
+    let exif = decoder.exif_metadata().ok().flatten();
+    Ok(Decoded { picture: DynamicImage::from_decoder(decoder).map_err(damaged)?, orientation, exif })
 }
 
 fn check_size(width: u64, height: u64) -> Result<(), Malformed> {

@@ -1,7 +1,8 @@
 //! Pictures of any size to the square that the U-Net sees, and back.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use where2act_core::{ImageSize, Pixel};
+use nalgebra::Point3;
+use where2act_core::{ImageSize, Intrinsics, Pixel};
 
 use super::PreprocessError;
 use super::resize::resize;
@@ -48,6 +49,13 @@ impl Window {
         let (left, width) = along(left, right, picture.width);
         let (top, height) = along(top, bottom, picture.height);
         Self { left, top, size: ImageSize { width, height } }
+    }
+
+    /// A point on the ray through its middle, in the frame of the picture's camera.
+    #[must_use]
+    pub fn middle(&self, camera: &Intrinsics) -> Point3<f32> {
+        let ImageSize { width, height } = self.size;
+        camera.back_project(self.left as f32 + 0.5 * width as f32, self.top as f32 + 0.5 * height as f32, 1.0)
     }
 
     /// The picture's pixels in the window, row by row, as indices of its buffers.

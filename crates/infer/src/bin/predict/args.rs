@@ -59,7 +59,8 @@ pub(crate) struct Args {
         conflicts_with = "fov"
     )]
     intrinsics: Vec<f32>,
-    /// Vertical field of view of the picture or depth map, degrees, with the axis in the middle.
+    /// Vertical field of view of the picture or depth map, degrees, with the axis in the middle. Of a picture alone it tells, with
+    /// --mask or --box, how far beside the axis the object is. Default for these: what the EXIF block says.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub(crate) fov: Option<f32>,
     /// Picture whose pixels brighter than half are the object, all of it: everything else is painted white, and networks like

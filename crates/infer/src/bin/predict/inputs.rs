@@ -91,10 +91,6 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 impl Input {
-    pub(crate) fn is_picture(&self) -> bool {
-        self.kind == FileKind::Picture
-    }
-
     pub(crate) fn modality(&self) -> Modality {
         match self.kind {
             FileKind::Picture => Modality::Rgb,
@@ -127,12 +123,15 @@ impl Input {
                 if depth.is_some() && intrinsics.is_none() {
                     bail!("--depth: expected --intrinsics or --fov with it, found neither");
                 }
+                let mask = mask_of(mask(args, size)?, picture.opaque, args);
+                // Who points out the object wants to know its directions, wherever in the picture it is.
+                let known = picture.camera.filter(|_| mask.is_some());
                 Ok(Observation::Image {
                     size,
                     rgb: Some(picture.rgb),
                     depth,
-                    intrinsics,
-                    mask: mask_of(mask(args, size)?, picture.opaque, args),
+                    intrinsics: intrinsics.or(known),
+                    mask,
                 })
             }
             FileKind::Depth => {
@@ -171,7 +170,11 @@ pub(crate) fn doubts(observation: &Observation) -> Vec<String> {
     if shown < FEWEST {
         doubts.push(format!("expected an object of thousands of {unit}, found {shown}"));
     }
-    let Observation::Image { size, rgb, depth, intrinsics, .. } = observation else { return doubts };
+    let Observation::Image { size, rgb, depth, intrinsics, mask } = observation else { return doubts };
+    if intrinsics.is_some() && depth.is_none() && mask.is_none() {
+        let expected = "--depth, --mask or --box with --intrinsics or --fov, which change nothing without";
+        doubts.push(format!("expected {expected}, found none (a depth map is a 16-bit grey png or an npy)"));
+    }
     if rgb.as_ref().is_some_and(|rgb| rgb.iter().all(|colour| Some(colour) == rgb.first())) {
         doubts.push("expected a picture of an object, found a single colour".to_owned());
     }

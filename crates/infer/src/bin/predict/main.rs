@@ -87,11 +87,6 @@ fn run(args: &Args) -> Result<()> {
         progress.inc(1);
     }
     progress.finish_and_clear();
-    if args.has_camera() && args.depth.is_none() && inputs.iter().all(Input::is_picture) {
-        tracing::warn!(
-            "--fov and --intrinsics change nothing for a picture without --depth; a depth map is a 16-bit grey png or an npy"
-        );
-    }
     if failed > 0 {
         bail!("{failed} of {} inputs failed", inputs.len());
     }
