@@ -303,6 +303,26 @@ fn a_box_keeps_proposals_inside() {
 }
 
 #[test]
+fn a_photo_tells_its_camera_where_the_object_is_pointed_out() {
+    let bench = Bench::new();
+    // TIFF, little-endian: 26 mm as on 35 mm film (0xa405), in the EXIF block's own list (0x8769).
+    let exif = b"II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x1a\0\0\0\0\0\0\0\
+        \x01\0\x05\xa4\x03\0\x01\0\0\0\x1a\0\0\0\0\0\0\0";
+    let mut bytes = Vec::new();
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(&mut bytes);
+    image::ImageEncoder::set_exif_metadata(&mut encoder, exif.to_vec()).unwrap();
+    encoder.encode_image(&image::open(bench.path("picture.png")).unwrap().into_rgb8()).unwrap();
+    std::fs::write(bench.path("photo.jpg"), bytes).unwrap();
+    let focal = |args: &[&str]| {
+        let run = bench.predict(&[&["photo.jpg", "--json"], args].concat()).assert().success();
+        parse_line(&run.get_output().stdout).input.intrinsics.map(|camera| camera.fx.round())
+    };
+    assert_eq!(focal(&[]), None);
+    assert_eq!(focal(&["--box", "10,10,40,40"]), Some(120.0));
+    assert_eq!(focal(&["--box", "10,10,40,40", "--fov", "90"]), Some(60.0));
+}
+
+#[test]
 fn numbers_that_are_seldom_meant_are_told_but_not_refused() {
     let bench = Bench::new();
     let mut bytes = Vec::new();
