@@ -31,7 +31,8 @@ pub enum Observation {
         rgb: Option<Vec<[u8; 3]>>,
         /// Depth along the optical axis in metres, `[height * width]`; 0, negative, 1e6 and more or not finite = nothing seen.
         depth: Option<Vec<f32>>,
-        /// Needed to turn depth into points.
+        /// Needed to turn depth into points; and, for a picture with a mask, to say which way directions are of an object beside the
+        /// camera's axis.
         intrinsics: Option<Intrinsics>,
         /// Pixels that belong to the object, all of it, `[height * width]`; `None` = decide by depth, or take all. It also
         /// decides what of the picture some networks look at; a part alone is a region, which proposals are kept to.

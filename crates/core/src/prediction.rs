@@ -77,7 +77,8 @@ pub struct ActionabilitySummary {
     pub map: Option<String>,
 }
 
-/// A concrete thing to try. Directions are unit vectors in the camera's optical frame.
+/// A concrete thing to try. Directions are unit vectors in the camera's optical frame; of a picture without intrinsics, whose object
+/// is beside the middle, in that of the camera turned to the object.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Proposal {
     /// 1 is best.

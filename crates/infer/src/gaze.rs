@@ -3,8 +3,8 @@
 use nalgebra::{Point3, Rotation3, Vector3};
 
 /// So far off the camera's axis, radians, the middle of an object may be that counts as looked at: in 640 scenes of training it was
-/// at most 4.7 degrees.
-const OFF_AXIS: f32 = 5.0 * std::f32::consts::PI / 180.0;
+/// up to 4.3 degrees (`weights/EXPERIMENTS.md`, "Cameras that are not held as in training").
+const OFF_AXIS: f32 = 8.0 * std::f32::consts::PI / 180.0;
 
 /// `camera_from_gaze`: the frame of the camera turned by the shortest way so that its axis goes through the middle of the object,
 /// a point in the camera's frame. The camera's own if it looks there.

@@ -103,9 +103,10 @@
 //!
 //! # Objects beside the middle of a picture
 //!
-//! In training cameras look at the object, and are upright. What a network for pictures proposes for an object more than 5 degrees
-//! off the camera's axis is that of a camera turned to it by the shortest way; with intrinsics it is turned back from there. That
-//! is for networks that look at the square around a mask. Networks for scans do as well beside the middle as in it.
+//! In training cameras look at the object. What a network for pictures proposes for an object more than 8 degrees off the camera's
+//! axis is that of a camera turned to it by the shortest way; with intrinsics it is turned back from there. That is for networks
+//! that look at the square around a mask. `weights/EXPERIMENTS.md` says what becomes of objects beside the axis and of cameras that
+//! are not upright ("Cameras that are not held as in training").
 //!
 //! # Features
 //!

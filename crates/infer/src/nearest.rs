@@ -5,7 +5,7 @@ use nalgebra::Point3;
 /// Most cells along an axis.
 const MAX_CELLS: usize = 48;
 
-/// Every so many-th point, so that these are left, says where the grid is, ...
+/// Some of the points, at most so many, say where the grid is, ...
 const SAMPLED: usize = 1024;
 /// ... all but one in so many at either end along each axis: strays do not stretch it.
 const STRAYS: usize = 64;
@@ -24,7 +24,8 @@ pub(crate) struct NearestIndex {
 impl NearestIndex {
     /// `points` must be finite; there may be none.
     pub(crate) fn new(points: Vec<Point3<f32>>) -> Self {
-        let mut sample: Vec<_> = points.iter().step_by(points.len().div_ceil(SAMPLED).max(1)).collect();
+        // An odd step, so that rows of an organised cloud are met in other columns every time.
+        let mut sample: Vec<_> = points.iter().step_by(points.len().div_ceil(SAMPLED) | 1).collect();
         let strays = sample.len() / STRAYS;
         let mut ends = |axis: usize| {
             sample.sort_unstable_by(|a, b| a[axis].total_cmp(&b[axis]));
@@ -33,8 +34,7 @@ impl NearestIndex {
         };
         let [[x0, x1], [y0, y1], [z0, z1]] = [0, 1, 2].map(&mut ends);
         let (low, high) = (Point3::new(x0, y0, z0), Point3::new(x1, y1, z1));
-        let extent = (high - low).amax();
-        let extent = extent.max(1e-6);
+        let extent = (high - low).amax().max(1e-6);
         // Points of a scan lie on surfaces: n cells squared hold a few points each.
         let along = ((points.len() as f32 / 4.0).sqrt() as usize).clamp(1, MAX_CELLS);
         let cell = extent / along as f32;
@@ -207,12 +207,18 @@ mod tests {
     }
 
     #[test]
-    fn a_stray_point_does_not_put_all_others_into_one_cell() {
+    fn neither_strays_nor_rows_put_most_points_into_few_cells() {
         let place = |i: usize| Point3::new((i % 71) as f32, (i / 71) as f32, (i % 13) as f32) * 0.01;
         let points = (0..5000).map(place).chain([Point3::new(1e3, -2e3, 5e5)]).collect();
         let index = NearestIndex::new(points);
         let most = index.start.windows(2).map(|cell| cell[1] - cell[0]).max();
         assert!(most < Some(100), "{most:?}");
         assert_eq!(index.nearest::<1>(&Point3::new(999.0, -2e3, 5e5)), [(5000, 1.0)]);
+        for side in [512, 1024] {
+            let organised = |i: usize| Point3::new((i % side) as f32, (i / side) as f32, 0.0);
+            let index = NearestIndex::new((0..side * side).map(organised).collect());
+            let most = index.start.windows(2).map(|cell| cell[1] - cell[0]).max().unwrap() as usize;
+            assert!(most < 4 * side * side / (MAX_CELLS * MAX_CELLS), "{most}");
+        }
     }
 }

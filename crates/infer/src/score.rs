@@ -379,6 +379,32 @@ mod tests {
     }
 
     #[test]
+    fn hands_beside_the_middle_have_room_and_come_from_outside_as_the_camera_sees_it() {
+        let (view, predictor) = (step_beside(), predictor(Modality::Rgb, false, Backend::Fast));
+        let options = Options { top_k: 3000, per_pixel: Some(100), ..scaled(1.0) };
+        let prepared = Prepared::new(&view, &predictor.config, "", &options).unwrap();
+        let gaze_from_camera = prepared.camera_from_gaze.inverse();
+        let (mut hands, mut crowded, mut from_inside) = (0, 0, 0);
+        for of in predictor.predict(&view, &options).unwrap().primitives {
+            for proposal in of.proposals {
+                let Grasp { rotation, .. } = proposal.grasp().unwrap();
+                let place = prepared.place(prepared.row_of(proposal.pixel).unwrap() as u32);
+                let room = prepared.room(&place, of.primitive).unwrap();
+                let fits = |rotation: &Rotation3<f32>| room.fits(of.primitive, rotation);
+                let outwards = |rotation: &Rotation3<f32>| {
+                    place.normal.is_some_and(|normal| normal.dot(&(rotation * Vector3::z())) > 1e-4)
+                };
+                assert!(fits(&rotation) && !outwards(&rotation));
+                // What a network says is in another frame.
+                let said = gaze_from_camera * rotation;
+                (hands, crowded) = (hands + 1, crowded + usize::from(!fits(&said)));
+                from_inside += usize::from(outwards(&said));
+            }
+        }
+        assert!(hands > 200 && crowded > 10 && from_inside > 10, "{hands} {crowded} {from_inside}");
+    }
+
+    #[test]
     fn a_mirror_image_is_scored_as_what_it_shows() {
         // Points of a scan are drawn by their order, which a mirror leaves as it is.
         let of_pictures =

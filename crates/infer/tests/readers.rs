@@ -207,10 +207,12 @@ fn a_photo_tells_its_camera() {
         assert_eq!(read.size.width == 300, fields.contains(&turned[0]));
     }
     let cut_out = parse_picture(&photo([300, 300], &[&sides[..], &of_phone].concat()));
+    let turned_back = parse_picture(&photo([300, 400], &[&sides[..], &of_phone].concat()));
     let unknown = parse_picture(&photo([400, 300], &[(Tag::FocalLengthIn35mmFilm, 0)]));
+    let fish = parse_picture(&photo([400, 300], &[(Tag::FocalLengthIn35mmFilm, 5)]));
     let without = parse_picture(&photo([400, 300], &sides));
     let no_sides = [(Tag::PixelXDimension, 0), (Tag::PixelYDimension, 0), of_phone[0]];
-    for read in [cut_out, unknown, without, parse_picture(&photo([400, 300], &no_sides))] {
+    for read in [cut_out, turned_back, unknown, fish, without, parse_picture(&photo([400, 300], &no_sides))] {
         assert_eq!(read.unwrap().camera, None);
     }
 }

@@ -1,4 +1,7 @@
 //! How a view is shown to a network: in a mirror, by a camera that is not held upright.
+//!
+//! A picture is turned about its middle, also where that is not where the camera's axis is, as in a close-up: it is then another
+//! part of what the rolled camera sees, and directions are the same.
 
 use nalgebra::{Point3, Rotation2, Vector2, Vector3};
 use rand::RngExt;

@@ -143,7 +143,7 @@ fn cameras_can_be_held_otherwise() {
     let (held, markdown) = run(folder.path(), "--categories Faucet --episodes 1 --roll 10 --beside -20");
     check(&serde_json::from_str::<Report>(&held).unwrap().total);
     assert!(
-        markdown.contains("Cameras are rolled by 10 degrees and turned about the vertical by -20."),
+        markdown.contains("Cameras are rolled by 10 degrees and look -20 degrees beside the object."),
         "{markdown}"
     );
     assert!(held != straight);

@@ -1,4 +1,5 @@
-//! The gradient of a whole training step against finite differences: every loss, through every part of the network.
+//! The gradient of a whole training step against finite differences: every loss, through every part of the network. And what a step
+//! sees, by rolled cameras.
 
 mod boards;
 
@@ -7,9 +8,10 @@ use std::sync::Arc;
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::optim::{GradientsParams, SgdConfig};
 use burn::tensor::{Device, Tensor};
+use nalgebra::Vector3;
 use where2act_core::{Primitive, Seed};
 use where2act_model::{Backbone, Modality, Network, Precision, save_weights};
-use where2act_train::batch::{Batch, Source};
+use where2act_train::batch::{Batch, Queries, Source};
 use where2act_train::probes::{Learner, Ways};
 use where2act_train::step::{Phase, forward};
 use where2act_train::teacher::{Lesson, Teacher};
@@ -109,6 +111,49 @@ fn check<M: Module>(
     };
     let (found, expected) = (moved(-rate) - moved(rate), 2.0 * rate * squared);
     assert!((found - expected).abs() < 0.02 * expected, "{name}: {found}, expected {expected}");
+}
+
+/// A roll turns hands and surfaces alike; what leaves a picture is asked about no more, wherever it is listed.
+#[test]
+fn rolled_cameras_see_the_same_hands_on_the_same_surfaces() {
+    let folder = tempfile::tempdir().unwrap();
+    boards::write(folder.path(), 0..16);
+    let dataset = Arc::new(Dataset::open(folder.path(), false).unwrap());
+    let scenes = dataset.scenes(Part::Train).unwrap();
+    for modality in [Modality::Cloud, Modality::Rgb] {
+        let batch = |rolled| {
+            let mut config = config(modality);
+            config.batch.rolled = rolled;
+            Source::new(dataset.clone(), &scenes, Arc::default(), &config, Phase::Joint).batch(0).unwrap()
+        };
+        let (upright, rolled) = (batch(0.0).queries, batch(1.0).queries);
+        for queries in [&upright, &rolled] {
+            let count = queries.places.len();
+            assert_eq!([queries.ways.len(), queries.normals.len(), queries.outputs.len()], [count; 3]);
+        }
+        // A trial's view, outcome, hand along the axis, and hand against the surface.
+        let trials = |queries: &Queries| -> Vec<(usize, f32, [f32; 2])> {
+            let of = |i: usize| {
+                let [ax, ay, az, ..] = queries.orientations[i];
+                let against = queries.normals[i].map_or(0.0, |n| n.dot(&Vector3::new(ax, ay, az)));
+                (queries.places[i].0, queries.labels[i], [az, against])
+            };
+            (0..queries.trials()).map(of).collect()
+        };
+        let near = |a: [f32; 2], b: [f32; 2]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
+        let all = trials(&upright);
+        let mut left = all.iter();
+        for (view, label, seen) in trials(&rolled) {
+            assert!(
+                left.any(|known| known.0 == view && known.1 == label && near(known.2, seen)),
+                "{modality:?}"
+            );
+        }
+        assert_ne!(upright.orientations, rolled.orientations);
+        // The boards are in the middle: of them no picture loses anything. Nor does a scan.
+        assert_eq!(rolled.trials(), upright.trials());
+        assert!(rolled.places.len() <= upright.places.len());
+    }
 }
 
 #[test]

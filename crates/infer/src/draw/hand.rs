@@ -8,7 +8,7 @@
 //! ```
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
-use where2act_core::{Camera, GRIPPER, Intrinsics, Primitive, Proposal};
+use where2act_core::{GRIPPER, Intrinsics, Primitive, Proposal};
 
 use super::canvas::{Canvas, Rgba, Xy};
 use super::labels::Taken;
@@ -81,7 +81,7 @@ struct Hand {
 
 /// Where the hand touches.
 enum Contact {
-    /// In space, seen through a camera; as far as the objects of training without depth.
+    /// In space, seen through a camera; without depth a metre away, which makes no difference to how it looks.
     Point(Point3<f32>, Intrinsics),
     /// Only in the picture; the hand is seen as from far away.
     Pixel(Xy),
@@ -96,7 +96,7 @@ impl Hand {
         let Some(camera) = lens.intrinsics else {
             return Some(Self { rotation, contact: Contact::Pixel(pixel), scale: per_metre });
         };
-        let on_ray = || camera.back_project(pixel.0, pixel.1, Camera::PUBLISHED_DISTANCE);
+        let on_ray = || camera.back_project(pixel.0, pixel.1, 1.0);
         let point = proposal.point.map_or_else(on_ray, Point3::from);
         camera.project(&point)?;
         let enlarged = per_metre * point.z / camera.fx;

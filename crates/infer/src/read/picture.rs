@@ -18,8 +18,11 @@ const SATURATED: f32 = u16::MAX as f32;
 const MAX_SIDE: u32 = 65_535;
 /// Diagonal of a picture on 35 mm film, of 36 by 24 mm.
 const FILM_DIAGONAL: f32 = 43.27;
-/// A picture whose proportions differ by more than this share from those in its EXIF block was cut out of a larger one.
+/// A picture whose proportions differ by more than this share from those in its EXIF block was cut out of a larger one, or turned by
+/// a program that left the block as it was.
 const SAME_PROPORTIONS: f32 = 0.01;
+/// Lenses that see straight lines as such are not much shorter, millimetres as for 35 mm film.
+const SHORTEST: f32 = 8.0;
 
 /// A colour picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -70,10 +73,12 @@ impl DepthMap {
 /// If the bytes are not such a picture, or it is larger than [`MAX_PIXELS`].
 pub fn parse_picture(bytes: &[u8]) -> Result<Picture, Malformed> {
     let Decoded { mut picture, orientation, exif } = decode(bytes)?;
+    let focal_length = exif.and_then(|exif| focal_length(exif, [picture.width(), picture.height()]));
     picture.apply_orientation(orientation);
     let size = ImageSize { width: picture.width() as usize, height: picture.height() as usize };
+    let (width, height) = (size.width as f32, size.height as f32);
+    let camera = focal_length.map(|f| Intrinsics { fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height });
     let turned = orientation != Orientation::NoTransforms;
-    let camera = exif.and_then(|exif| camera(exif, size));
     let (rgb, opaque) = if picture.color().has_alpha() {
         let picture = picture.into_rgba8();
         let opaque: Vec<bool> = picture.pixels().map(|p| p.0[3] > 127).collect();
@@ -118,20 +123,21 @@ pub fn parse_mask(bytes: &[u8]) -> Result<(ImageSize, Vec<bool>), Malformed> {
     Ok((size, grey.pixels().map(|p| p.0.iter().all(|&x| x > 127)).collect()))
 }
 
-/// The camera by an EXIF block; `None` if that says too little, or belongs to a picture of other proportions.
-fn camera(exif: Vec<u8>, ImageSize { width, height }: ImageSize) -> Option<Intrinsics> {
+/// The focal length in pixels by an EXIF block. `None` if that says too little, or is of a picture of other sides than this one, as
+/// it is stored, has.
+fn focal_length(exif: Vec<u8>, sides: [u32; 2]) -> Option<f32> {
     let block = exif::Reader::new().read_raw(exif).ok()?;
     let number = |tag| Some(block.get_field(tag, In::PRIMARY)?.value.get_uint(0)? as f32);
-    let (width, height) = (width as f32, height as f32);
-    let proportions = |a: f32, b: f32| a.max(b) / a.min(b);
-    if let (Some(a), Some(b)) = (number(Tag::PixelXDimension), number(Tag::PixelYDimension)) {
-        let off = proportions(a, b) / proportions(width, height) - 1.0;
+    let [width, height] = sides.map(|side| side as f32);
+    if let (Some(then_width), Some(then_height)) =
+        (number(Tag::PixelXDimension), number(Tag::PixelYDimension))
+    {
+        let off = then_width / then_height / (width / height) - 1.0;
         let whole = off.abs() <= SAME_PROPORTIONS;
         whole.then_some(())?;
     }
-    let focal = number(Tag::FocalLengthIn35mmFilm).filter(|millimetres| *millimetres > 0.0)?;
-    let f = focal / FILM_DIAGONAL * width.hypot(height);
-    Some(Intrinsics { fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height })
+    let millimetres = number(Tag::FocalLengthIn35mmFilm).filter(|f| *f >= SHORTEST)?;
+    Some(millimetres / FILM_DIAGONAL * width.hypot(height))
 }
 
 /// A picture as it is stored, and what its EXIF block says.

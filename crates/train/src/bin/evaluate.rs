@@ -66,8 +66,8 @@ struct Args {
     /// Roll cameras about their axis by so many degrees.
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
     roll: f32,
-    /// Turn cameras about the vertical by so many degrees: the object is beside their axis, and the view is the part of a wider
-    /// picture around it.
+    /// Turn cameras beside the object by so many degrees, about their own y axis: the view is the part of a wider picture around
+    /// the object.
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
     beside: f32,
     /// Root of the randomness.

@@ -125,7 +125,8 @@ pub struct BatchConfig {
     pub fixed: f32,
     /// Share of the views that are shown mirrored.
     pub mirrored: f32,
-    /// Share of the views whose camera is not upright: rolled about its axis by up to 20 degrees.
+    /// Share of the views whose camera is not upright: rolled about its axis by up to 20 degrees. A picture is turned about its
+    /// middle; what comes into it repeats its border, and what leaves it is not asked about.
     pub rolled: f32,
     /// Whether hands that push or pull are turned half round about their approach at random, which changes nothing.
     pub half_turns: bool,

@@ -114,7 +114,7 @@ impl Report {
                     String::new()
                 } else {
                     format!(
-                        " Cameras are rolled by {} degrees and turned about the vertical by {}.",
+                        " Cameras are rolled by {} degrees and look {} degrees beside the object.",
                         config.held.roll, config.held.beside
                     )
                 },

@@ -25,7 +25,8 @@ Examples:
 Scores rank proposals: higher is better. A score is not the share of tries that succeed.
 
 Directions and poses are in the camera's optical frame: x right, y down, z forward, metres. The hand's z axis is the \
-approach, its x axis is forward, and the fingers open along y. Without depth there are directions, but no points and poses. \
+approach, its x axis is forward, and the fingers open along y. Without depth there are directions, but no points and poses; \
+those of an object beside the middle of a picture need --fov or --intrinsics, or a photo's EXIF block, to be in that frame. \
 Scans are in the same frame: a camera at (0, 0, 0) looks along z.
 
 With --depth the picture decides, and the depth gives points in metres and leaves out hands without room. With --weights \
@@ -60,7 +61,7 @@ pub(crate) struct Args {
     )]
     intrinsics: Vec<f32>,
     /// Vertical field of view of the picture or depth map, degrees, with the axis in the middle. Of a picture alone it tells, with
-    /// --mask or --box, how far beside the axis the object is. Default for these: what the EXIF block says.
+    /// --mask or --box, how far beside the axis the object is. Default for masked pictures: what the EXIF block says.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub(crate) fov: Option<f32>,
     /// Picture whose pixels brighter than half are the object, all of it: everything else is painted white, and networks like

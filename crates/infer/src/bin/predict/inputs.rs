@@ -170,11 +170,7 @@ pub(crate) fn doubts(observation: &Observation) -> Vec<String> {
     if shown < FEWEST {
         doubts.push(format!("expected an object of thousands of {unit}, found {shown}"));
     }
-    let Observation::Image { size, rgb, depth, intrinsics, mask } = observation else { return doubts };
-    if intrinsics.is_some() && depth.is_none() && mask.is_none() {
-        let expected = "--depth, --mask or --box with --intrinsics or --fov, which change nothing without";
-        doubts.push(format!("expected {expected}, found none (a depth map is a 16-bit grey png or an npy)"));
-    }
+    let Observation::Image { size, rgb, depth, intrinsics, .. } = observation else { return doubts };
     if rgb.as_ref().is_some_and(|rgb| rgb.iter().all(|colour| Some(colour) == rgb.first())) {
         doubts.push("expected a picture of an object, found a single colour".to_owned());
     }

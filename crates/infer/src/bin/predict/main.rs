@@ -11,8 +11,8 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
-use where2act_core::one_line;
 use where2act_core::program::{self, Progress};
+use where2act_core::{Observation, one_line};
 use where2act_infer::{Predictor, find_weights};
 use where2act_model::Modality;
 
@@ -37,6 +37,7 @@ fn run(args: &Args) -> Result<()> {
     let progress = Progress::new(args.quiet || inputs.len() < 2, inputs.len() as u64, template);
     // One bad file among many costs no other its prediction.
     let mut failed = 0;
+    let mut pictures_alone = true;
     let mut fail = |error: anyhow::Error| {
         if inputs.len() == 1 {
             return Err(error);
@@ -74,6 +75,8 @@ fn run(args: &Args) -> Result<()> {
         let huge = huge.then(|| {
             "expected metres, found an object larger than a house: are these millimetres?".to_owned()
         });
+        pictures_alone &=
+            matches!(&observation, Observation::Image { rgb: Some(_), depth: None, mask: None, .. });
         for doubt in inputs::doubts(&observation).into_iter().chain(huge) {
             tracing::warn!("{}: {doubt}", input.path.display());
         }
@@ -87,6 +90,12 @@ fn run(args: &Args) -> Result<()> {
         progress.inc(1);
     }
     progress.finish_and_clear();
+    if args.has_camera() && pictures_alone {
+        tracing::warn!(
+            "expected --mask, --box or --depth with --intrinsics or --fov, which say little of a picture alone, found none (a \
+             depth map is a 16-bit grey png or an npy)"
+        );
+    }
     if failed > 0 {
         bail!("{failed} of {} inputs failed", inputs.len());
     }
