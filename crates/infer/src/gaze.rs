@@ -1,9 +1,12 @@
-//! The frame in which a network for pictures knows directions: that of a camera which looks at the object, as in training.
+//! The frame in which a network knows directions: that of a camera which looks at the object, as in training.
+
+use std::borrow::Cow;
 
 use nalgebra::{Point3, Rotation3, Vector3};
+use where2act_core::is_measured;
 
 /// So far off the camera's axis, radians, the middle of an object may be that counts as looked at: in 640 scenes of training it was
-/// up to 4.3 degrees (`weights/EXPERIMENTS.md`, "Cameras that are not held as in training").
+/// up to 4.7 degrees (`weights/EXPERIMENTS.md`, "Cameras that are not held as in training").
 const OFF_AXIS: f32 = 8.0 * std::f32::consts::PI / 180.0;
 
 /// `camera_from_gaze`: the frame of the camera turned by the shortest way so that its axis goes through the middle of the object,
@@ -11,6 +14,21 @@ const OFF_AXIS: f32 = 8.0 * std::f32::consts::PI / 180.0;
 pub(crate) fn gaze(middle: &Point3<f32>) -> Rotation3<f32> {
     let turn = Rotation3::rotation_between(&Vector3::z(), &middle.coords);
     turn.filter(|turn| turn.angle() > OFF_AXIS).unwrap_or_else(Rotation3::identity)
+}
+
+/// [`gaze`] at the mean of a scan, and the scan as it is seen then.
+pub(crate) fn gaze_at(points: &[Point3<f32>]) -> (Rotation3<f32>, Cow<'_, [Point3<f32>]>) {
+    let measured = points.iter().filter(|point| is_measured(point));
+    let sum = measured.fold(Vector3::zeros(), |sum: Vector3<f64>, point| sum + point.coords.cast());
+    // How long it is is of no consequence.
+    let camera_from_gaze = gaze(&Point3::from(sum.normalize().cast()));
+    if camera_from_gaze == Rotation3::identity() {
+        return (camera_from_gaze, Cow::Borrowed(points));
+    }
+    let gaze_from_camera = camera_from_gaze.inverse();
+    // What was not measured stays that.
+    let seen = |point: &Point3<f32>| if is_measured(point) { gaze_from_camera * point } else { *point };
+    (camera_from_gaze, points.iter().map(seen).collect())
 }
 
 #[cfg(test)]
@@ -29,5 +47,16 @@ mod tests {
             assert_eq!(gaze(&middle), Rotation3::identity());
         }
         assert_eq!(gaze(&Point3::new(f32::NAN, 0.0, 1.0)), Rotation3::identity());
+    }
+
+    #[test]
+    fn what_a_scan_did_not_measure_stays_that() {
+        let beside = [Point3::new(1.0, 0.0, 1.0), Point3::new(1.2, 0.0, 1.2)];
+        let points = [beside[0], Point3::origin(), Point3::new(1.0, f32::NAN, 1.0), beside[1]];
+        let (camera_from_gaze, seen) = gaze_at(&points);
+        assert!((camera_from_gaze.angle() - 45f32.to_radians()).abs() < 1e-6);
+        assert!((seen[0] - Point3::new(0.0, 0.0, 2f32.sqrt())).norm() < 1e-6);
+        assert_eq!(seen.iter().map(is_measured).collect::<Vec<_>>(), [true, false, false, true]);
+        assert!(matches!(gaze_at(&points[1..3]), (turn, Cow::Borrowed(_)) if turn == Rotation3::identity()));
     }
 }

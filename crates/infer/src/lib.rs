@@ -101,12 +101,12 @@
 //! points: the lengths of the hand's motion stay those of the real hand. `Options::network_from_metres` overrides it.
 //! Without depth there is no scale, and proposals are pixels and orientations only.
 //!
-//! # Objects beside the middle of a picture
+//! # Objects beside the middle
 //!
-//! In training cameras look at the object. What a network for pictures proposes for an object more than 8 degrees off the camera's
-//! axis is that of a camera turned to it by the shortest way; with intrinsics it is turned back from there. That is for networks
-//! that look at the square around a mask. `weights/EXPERIMENTS.md` says what becomes of objects beside the axis and of cameras that
-//! are not upright ("Cameras that are not held as in training").
+//! In training cameras look at the object. One more than 8 degrees off the camera's axis is seen as by a camera turned to it by the
+//! shortest way, and what is proposed is turned back. For a picture that takes intrinsics, a mask, and a network that looks at the
+//! square around it; without intrinsics directions stay those of the camera that looks there. `weights/EXPERIMENTS.md` says what
+//! becomes of objects beside the axis and of cameras that are not upright ("Cameras that are not held as in training").
 //!
 //! # Features
 //!

@@ -230,9 +230,10 @@ impl Predictor {
         let places: Vec<_> = candidates.iter().map(|&row| prepared.place(row)).collect();
         let room = |place: &Place| if options.clearance { prepared.room(place, primitive) } else { None };
         let rooms: Vec<Option<Room>> = places.iter().map(room).collect();
+        let in_camera = |hand: &Scored| prepared.camera_from_gaze * hand.rotation;
         let fits = |hand: &Scored| {
             let room = rooms.get(hand.candidate).and_then(Option::as_ref);
-            room.is_none_or(|room| room.fits(primitive, &hand.rotation))
+            room.is_none_or(|room| room.fits(primitive, &in_camera(hand)))
         };
         let tried = self.heads.propose(features, &candidates, output, codes)?;
         let looking = match &prepared.input {
@@ -245,8 +246,7 @@ impl Predictor {
         for (candidate, (place, tried)) in places.iter().zip(tried).enumerate() {
             let normal = place.normal.map(|normal| prepared.camera_from_gaze.inverse() * normal);
             scored.extend(possible(&tried, normal, best_alone).into_iter().map(|sample| {
-                let rotation = prepared.camera_from_gaze * tried.rotation(sample);
-                let score = tried.scores.get(sample).copied();
+                let (rotation, score) = (tried.rotation(sample), tried.scores.get(sample).copied());
                 Scored { candidate, pixel: place.pixel, rotation, score: score.unwrap_or(0.0) }
             }));
         }
@@ -272,7 +272,7 @@ impl Predictor {
                 let numbers = (s.score, actionability);
                 Some(Proposal {
                     rank: i + 1,
-                    ..proposal(primitive, s.pixel, place.point, &s.rotation, numbers)
+                    ..proposal(primitive, s.pixel, place.point, &in_camera(&s), numbers)
                 })
             })
             .collect();

@@ -13,7 +13,7 @@ use crate::backbone::NetworkInput;
 use crate::clearance::{GRIP_REACH, REACH, Room};
 use crate::decode::Places;
 use crate::dense::{Geometry, on_object, seen_point};
-use crate::gaze::gaze;
+use crate::gaze::{gaze, gaze_at};
 use crate::nearest::NearestIndex;
 use crate::predictor::{Place, reads};
 use crate::surface::{DepthView, normal};
@@ -56,7 +56,7 @@ pub(crate) struct Prepared<'a> {
     /// ... and all its points, once they are asked for.
     scan_index: OnceLock<NearestIndex>,
     pub(crate) network_from_metres: f32,
-    /// The camera's frame from that in which the network knows directions.
+    /// The camera's frame from that in which the network knows directions and points.
     pub(crate) camera_from_gaze: Rotation3<f32>,
 }
 
@@ -147,14 +147,21 @@ impl<'a> Prepared<'a> {
     fn scan(observation: &'a Observation, config: &ModelConfig, options: &Options) -> Result<Self, Error> {
         let scale = options.network_from_metres.map_or(CloudScale::Trained, CloudScale::PerMetre);
         let mut rng = options.seed.child("scan points", 0).rng();
-        let (mut input, seen) =
-            CloudInput::from_observation(observation, scale, config, &mut rng).map_err(unusable)?;
+        let (seen, points): (Vec<Pixel>, Vec<_>) = observation.foreground_points().into_iter().unzip();
+        let scan = match observation {
+            Observation::Cloud { points } => Some(points.as_slice()),
+            Observation::Image { .. } => None,
+        };
+        let (camera_from_gaze, points) = gaze_at(scan.unwrap_or(&points));
+        let gaze_from_camera = camera_from_gaze.inverse();
+        let mut input = CloudInput::new(&points, scale, config, &mut rng).map_err(unusable)?;
         let none =
             |p: Pixel| Error::invalid("pixel", "one of the object, with depth", format!("{},{}", p.u, p.v));
         let asked = options.pixel.map(|p| point_at(observation, p).ok_or_else(|| none(p))).transpose()?;
         // The network sees some thousand points: the one that was asked for takes the nearest one's place among them.
-        let asked_row =
-            asked.and_then(|point| input.move_nearest_to(&[point]).keys().next().map(|row| *row as u32));
+        let asked_row = asked.and_then(|p| {
+            input.move_nearest_to(&[gaze_from_camera * p]).keys().next().map(|row| *row as u32)
+        });
         let pixel = |source: &usize| match seen.get(*source) {
             Some(pixel) => *pixel,
             None => Pixel { u: *source as u32, v: 0 },
@@ -168,20 +175,17 @@ impl<'a> Prepared<'a> {
         let wanted = |pixel: &Pixel| in_region(options, position(pixel));
         if options.pixel.is_none() && !pixels.iter().any(wanted) {
             let (inside, points) = some_of(measured(observation, wanted));
+            let points: Vec<_> = points.iter().map(|point| gaze_from_camera * point).collect();
             for (row, i) in input.move_nearest_to(&points) {
                 if let Some((of_row, pixel)) = pixels.get_mut(row).zip(inside.get(i)) {
                     *of_row = *pixel;
                 }
             }
         }
-        let in_metres = |xyz: &[f32; 3]| input.metres_from_network(&Point3::from(*xyz));
+        let in_metres = |xyz: &[f32; 3]| camera_from_gaze * input.metres_from_network(&Point3::from(*xyz));
         let xyz = input.xyz.as_chunks().0;
         let index = NearestIndex::new(xyz.iter().map(in_metres).collect());
         let surface = NearestIndex::new(input.dense.as_chunks().0.iter().map(in_metres).collect());
-        let scan = match observation {
-            Observation::Cloud { points } => Some(points.as_slice()),
-            Observation::Image { .. } => None,
-        };
         let rows = (0..).zip(xyz).zip(&pixels).filter(|(_, pixel)| wanted(pixel));
         let places = Places::new(rows.map(|((row, xyz), _)| (row, *xyz)), POINT_DISTANCE);
         if places.rows().is_empty() && options.pixel.is_none() {
@@ -200,7 +204,7 @@ impl<'a> Prepared<'a> {
             surface: Some(surface),
             scan,
             scan_index: OnceLock::new(),
-            camera_from_gaze: Rotation3::identity(),
+            camera_from_gaze,
         })
     }
 

@@ -28,8 +28,8 @@ pub(crate) struct ScoringHeads {
     device: Device,
 }
 
-/// A hand, its contact point in the camera frame and its orientation in that in which the network knows directions; what it is to
-/// do, and the pixel that shows its contact point, if the input is a picture.
+/// A hand in the frame in which the network knows directions and points, what it is to do, and the pixel that shows its contact
+/// point, if the input is a picture.
 #[derive(Clone, Copy)]
 struct Asked {
     primitive: Primitive,
@@ -119,8 +119,9 @@ fn seen(
     if !prepared.shows(&point, pixel, FROM_SURFACE) {
         return None;
     }
-    let orientation = Orientation6::from_rotation(&(prepared.camera_from_gaze.inverse() * rotation));
-    Some(Asked { primitive, point, orientation, pixel })
+    let gaze_from_camera = prepared.camera_from_gaze.inverse();
+    let orientation = Orientation6::from_rotation(&(gaze_from_camera * rotation));
+    Some(Asked { primitive, point: gaze_from_camera * point, orientation, pixel })
 }
 
 impl Asked {
@@ -241,7 +242,7 @@ mod tests {
 
     use super::*;
     use crate::Backend;
-    use crate::gaze::gaze;
+    use crate::gaze::{gaze, gaze_at};
 
     fn predictor_with(
         change: impl FnOnce(&mut ModelConfig),
@@ -284,18 +285,23 @@ mod tests {
         step
     }
 
+    fn scan_of(step: &Observation) -> Observation {
+        Observation::Cloud { points: step.foreground_points().into_iter().map(|(_, point)| point).collect() }
+    }
+
     fn scan() -> Observation {
-        Observation::Cloud {
-            points: step().foreground_points().into_iter().map(|(_, point)| point).collect(),
-        }
+        scan_of(&step())
     }
 
     fn cases() -> Vec<(Predictor, Observation)> {
         let pictures = [Backend::Fast, Backend::Flex].map(|b| (predictor(Modality::Rgb, false, b), step()));
         let scans = [Backend::Fast, Backend::Flex].map(|b| (predictor(Modality::Cloud, true, b), scan()));
         let once = (predictor(Modality::Cloud, false, Backend::Fast), step());
-        let beside = (predictor(Modality::Rgb, false, Backend::Fast), step_beside());
-        pictures.into_iter().chain(scans).chain([once, beside]).collect()
+        let beside = [
+            (predictor(Modality::Rgb, false, Backend::Fast), step_beside()),
+            (predictor(Modality::Cloud, true, Backend::Fast), scan_of(&step_beside())),
+        ];
+        pictures.into_iter().chain(scans).chain([once]).chain(beside).collect()
     }
 
     fn scaled(network_from_metres: f32) -> Options {
@@ -379,6 +385,28 @@ mod tests {
     }
 
     #[test]
+    fn a_scan_beside_the_middle_is_seen_as_by_a_camera_that_looks_there() {
+        let Observation::Cloud { points } = scan_of(&step_beside()) else { unreachable!() };
+        let (turn, looked_at) = gaze_at(&points);
+        let looked_at = looked_at.into_owned();
+        assert!(turn.angle() > 0.4 && gaze_at(&looked_at).0 == Rotation3::identity());
+        let predictor = predictor(Modality::Cloud, true, Backend::Fast);
+        let options = Options { clearance: false, ..scaled(1.0) };
+        let [beside, looked_at] = [points, looked_at]
+            .map(|points| predictor.predict(&Observation::Cloud { points }, &options).unwrap().primitives);
+        for (found, expected) in beside.iter().zip(&looked_at) {
+            assert_eq!(found.proposals.len(), expected.proposals.len());
+            for (found, expected) in found.proposals.iter().zip(&expected.proposals) {
+                assert_eq!((found.pixel, found.score), (expected.pixel, expected.score));
+                let (found, expected) = (found.grasp().unwrap(), expected.grasp().unwrap());
+                assert!((turn * expected.point - found.point).norm() < 1e-5);
+                let off = (turn * expected.rotation).matrix() - found.rotation.matrix();
+                assert!(off.amax() < 1e-5, "{off}");
+            }
+        }
+    }
+
+    #[test]
     fn hands_beside_the_middle_have_room_and_come_from_outside_as_the_camera_sees_it() {
         let (view, predictor) = (step_beside(), predictor(Modality::Rgb, false, Backend::Fast));
         let options = Options { top_k: 3000, per_pixel: Some(100), ..scaled(1.0) };
@@ -409,8 +437,9 @@ mod tests {
         // Points of a scan are drawn by their order, which a mirror leaves as it is.
         let of_pictures =
             [step(), step_beside()].map(|view| (predictor(Modality::Rgb, false, Backend::Fast), view));
-        let of_scans = (predictor(Modality::Cloud, true, Backend::Fast), scan());
-        for (predictor, view) in of_pictures.into_iter().chain([of_scans]) {
+        let of_scans = [step(), step_beside()]
+            .map(|view| (predictor(Modality::Cloud, true, Backend::Fast), scan_of(&view)));
+        for (predictor, view) in of_pictures.into_iter().chain(of_scans) {
             assert_eq!(mirrored(&mirrored(&view)), view);
             let hands: Vec<_> =
                 proposed(&predictor, &view, &scaled(1.0)).into_iter().map(|(hand, _)| hand).collect();

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use burn::tensor::{Device, Tensor};
-use where2act_core::{Observation, Seed};
+use where2act_core::Seed;
 use where2act_infer::read::{read_picture, read_scan};
 use where2act_kernels::Isa;
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
@@ -74,10 +74,8 @@ fn a_picture_gives_on_every_path_what_burn_gives() {
 #[test]
 fn a_scan_gives_on_every_path_what_burn_gives() {
     let network = network("cloud");
-    let scan = Observation::Cloud { points: read_scan(&repository("examples/cabinet.ply")).unwrap() };
-    let (input, _) =
-        CloudInput::from_observation(&scan, CloudScale::Trained, network.config(), &mut Seed(1).rng())
-            .unwrap();
+    let scan = read_scan(&repository("examples/cabinet.ply")).unwrap();
+    let input = CloudInput::new(&scan, CloudScale::Trained, network.config(), &mut Seed(1).rng()).unwrap();
     let hierarchy = input.whole_hierarchy(network.config());
     let expected = numbers(network.features_of(&hierarchy));
     check(&network, &expected, |engine| engine.features_cloud(&hierarchy).unwrap().to_vec());

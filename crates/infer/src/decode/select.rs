@@ -15,7 +15,7 @@ pub(crate) struct Scored {
     pub(crate) candidate: usize,
     /// Pixel of the input.
     pub(crate) pixel: Pixel,
-    /// Hand rotation in the camera frame.
+    /// Hand rotation in the frame in which the network knows directions.
     pub(crate) rotation: Rotation3<f32>,
     /// What the score head says: higher is better, not a chance of success.
     pub(crate) score: f32,

@@ -2,7 +2,7 @@ use std::path::Path;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Point3;
-use where2act_core::{Observation, Orientation6, Primitive, Seed};
+use where2act_core::{Orientation6, Primitive, Seed};
 use where2act_kernels::Isa;
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput};
 use where2act_model::{Engine, LinearLayer, Modality, ModelConfig, Network, Weights, hand_frame, to_axes};
@@ -172,10 +172,9 @@ fn trained_weights_decode_a_picture_as_the_heads_of_the_model() {
 #[test]
 fn trained_weights_decode_a_scan_as_the_heads_of_the_model() {
     let network = trained("cloud");
-    let scan = Observation::Cloud { points: read_scan(&repository("examples/cabinet.ply")).unwrap() };
+    let scan = read_scan(&repository("examples/cabinet.ply")).unwrap();
     let config = network.config();
-    let mut rng = Seed(1).rng();
-    let (input, _) = CloudInput::from_observation(&scan, CloudScale::Trained, config, &mut rng).unwrap();
+    let input = CloudInput::new(&scan, CloudScale::Trained, config, &mut Seed(1).rng()).unwrap();
     let (engine, last) = Engine::open(Isa::best(), &network).unwrap();
     let rows = engine.features_cloud(&input.whole_hierarchy(config)).unwrap();
     check(&network, last.as_ref(), &rows, &[0, 1000, 2000, 3000, 4095]);

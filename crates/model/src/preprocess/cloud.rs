@@ -6,7 +6,7 @@ use nalgebra::Point3;
 use rand::RngExt;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
-use where2act_core::{Observation, Pixel, is_measured};
+use where2act_core::is_measured;
 use where2act_kernels::points::{Bounds, Frame, furthest_point_sampling, in_boxes, three_nearest};
 
 use super::PreprocessError;
@@ -90,32 +90,6 @@ impl CloudInput {
             centre,
             scale,
         })
-    }
-
-    /// Prepares an observation: the foreground of a depth map, or a scan. The second answer tells the pixel of every
-    /// point of a depth map, in the order that [`Self::source`] counts; it is empty for a scan.
-    ///
-    /// # Errors
-    /// As [`Self::new`], and if depth or mask have not the size of the picture.
-    pub fn from_observation(
-        observation: &Observation,
-        scale: CloudScale,
-        config: &ModelConfig,
-        rng: &mut ChaCha8Rng,
-    ) -> Result<(Self, Vec<Pixel>), PreprocessError> {
-        match observation {
-            Observation::Cloud { points } => Ok((Self::new(points, scale, config, rng)?, Vec::new())),
-            Observation::Image { size, depth, mask, .. } => {
-                if let Some(depth) = depth {
-                    PreprocessError::check_size("the depth map", *size, depth.len())?;
-                }
-                if let Some(mask) = mask {
-                    PreprocessError::check_size("the mask", *size, mask.len())?;
-                }
-                let (pixels, points): (Vec<_>, Vec<_>) = observation.foreground_points().into_iter().unzip();
-                Ok((Self::new(&points, scale, config, rng)?, pixels))
-            }
-        }
     }
 
     /// A point of the scan's frame, metres, in network units.
@@ -215,7 +189,7 @@ fn robust_radius(mut distances: Vec<f32>) -> f32 {
 mod tests {
     use super::*;
     use crate::config::Modality;
-    use where2act_core::{ImageSize, Intrinsics, Orientation6, Primitive, Seed};
+    use where2act_core::{Orientation6, Primitive, Seed};
 
     fn config(points: usize) -> ModelConfig {
         ModelConfig::new(Modality::Cloud, &[Primitive::Pushing]).with_points(points)
@@ -225,21 +199,6 @@ mod tests {
     fn square(side: f32, per_side: usize) -> Vec<Point3<f32>> {
         let at = |i: usize| side * (i as f32 / (per_side - 1) as f32 - 0.5);
         (0..per_side * per_side).map(|i| Point3::new(at(i % per_side) + 1.0, at(i / per_side), 3.0)).collect()
-    }
-
-    #[test]
-    fn a_depth_map_of_another_size_is_refused() {
-        let size = ImageSize { width: 4, height: 3 };
-        let intrinsics = Some(Intrinsics { fx: 4.0, fy: 4.0, cx: 2.0, cy: 1.5 });
-        let of = |depth, mask| Observation::Image { size, rgb: None, depth, intrinsics, mask };
-        let prepare = |observation: &Observation| {
-            let rng = &mut Seed(1).rng();
-            CloudInput::from_observation(observation, CloudScale::Trained, &config(16), rng).map(|_| ())
-        };
-        assert_eq!(prepare(&of(Some(vec![1.0; 12]), Some(vec![true; 12]))), Ok(()));
-        let refused = |buffer, found| Err(PreprocessError::Size { buffer, expected: 12, found });
-        assert_eq!(prepare(&of(Some(vec![1.0; 11]), None)), refused("the depth map", 11));
-        assert_eq!(prepare(&of(Some(vec![1.0; 12]), Some(vec![true; 5]))), refused("the mask", 5));
     }
 
     #[test]
