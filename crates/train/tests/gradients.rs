@@ -3,6 +3,7 @@
 
 mod boards;
 
+use std::path::Path;
 use std::sync::Arc;
 
 use burn::module::{Module, ModuleVisitor, Param};
@@ -16,7 +17,8 @@ use where2act_train::probes::{Learner, Ways};
 use where2act_train::step::{Phase, forward};
 use where2act_train::teacher::{Lesson, Teacher};
 use where2act_train::{
-    BatchConfig, Dataset, LossConfig, NetworkConfig, Part, ScheduleConfig, TeacherConfig, TrainConfig,
+    BatchConfig, Dataset, LossConfig, NetworkConfig, Part, SceneId, ScheduleConfig, TeacherConfig,
+    TrainConfig,
 };
 
 fn config(modality: Modality) -> TrainConfig {
@@ -70,6 +72,14 @@ fn config(modality: Modality) -> TrainConfig {
     }
 }
 
+/// Some boards, and which of them are trained on.
+fn training_boards(folder: &Path) -> (Arc<Dataset>, Vec<SceneId>) {
+    boards::write(folder, 0..16);
+    let dataset = Arc::new(Dataset::open(folder, false).unwrap());
+    let scenes = dataset.scenes(Part::Train).unwrap();
+    (dataset, scenes)
+}
+
 /// The sum of the squared gradients of some parameters.
 fn squared_norm(module: &impl Module, gradients: &GradientsParams) -> f64 {
     struct Sum<'a>(&'a GradientsParams, f64);
@@ -117,9 +127,7 @@ fn check<M: Module>(
 #[test]
 fn rolled_cameras_see_the_same_hands_on_the_same_surfaces() {
     let folder = tempfile::tempdir().unwrap();
-    boards::write(folder.path(), 0..16);
-    let dataset = Arc::new(Dataset::open(folder.path(), false).unwrap());
-    let scenes = dataset.scenes(Part::Train).unwrap();
+    let (dataset, scenes) = training_boards(folder.path());
     for modality in [Modality::Cloud, Modality::Rgb] {
         let batch = |rolled| {
             let mut config = config(modality);
@@ -159,9 +167,7 @@ fn rolled_cameras_see_the_same_hands_on_the_same_surfaces() {
 #[test]
 fn the_gradient_of_a_step_is_how_its_loss_changes() {
     let folder = tempfile::tempdir().unwrap();
-    boards::write(folder.path(), 0..16);
-    let dataset = Arc::new(Dataset::open(folder.path(), false).unwrap());
-    let scenes = dataset.scenes(Part::Train).unwrap();
+    let (dataset, scenes) = training_boards(folder.path());
     let teacher = folder.path().join("teacher");
     let for_scans = Network::new(&config(Modality::Cloud).model(), Seed(8), &Device::flex());
     save_weights(&teacher, &for_scans, "", Precision::F32).unwrap();

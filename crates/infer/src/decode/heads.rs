@@ -193,7 +193,7 @@ impl DecodingHeads {
 }
 
 impl Tried {
-    /// Hand rotation of a sample, in the frame that the network sees.
+    /// Hand rotation of a sample, in the frame in which the network knows directions.
     pub(crate) fn rotation(&self, sample: usize) -> Rotation3<f32> {
         let [approach, forward, left] = frames::columns(&self.axes, sample);
         Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[forward, left, approach]))

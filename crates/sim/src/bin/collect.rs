@@ -10,7 +10,6 @@ use clap::Parser;
 use where2act_core::program::{self, Progress};
 use where2act_core::{Category, Primitive, Seed};
 use where2act_sim::collect::{Collected, Collector, ObjectSet, Part, Plan, Recipe, categories_of};
-use where2act_sim::render::Held;
 
 /// Collects scenes and interaction trials into shards.
 ///
@@ -164,8 +163,8 @@ fn recipe(cli: &Cli) -> anyhow::Result<Recipe> {
         close: cli.close,
         randomise: cli.randomise,
         varied: cli.varied,
-        held: Held::default(),
         faithful: cli.faithful,
+        ..Recipe::default()
     })
 }
 
