@@ -1,4 +1,4 @@
-//! What may differ between two pictures of the same scene: light, paint, background, sensor.
+//! What may differ between two pictures of the same scene: light, paint, background, sensor, shadows.
 
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
@@ -6,6 +6,7 @@ use where2act_core::Seed;
 
 use super::backdrop::Backdrop;
 use super::sensor::Sensor;
+use super::shadow::Shadow;
 
 /// How a scene is lit and shown. The default is the published look: white background, three lights, no noise.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -20,6 +21,9 @@ pub struct Look {
     pub backdrop: Backdrop,
     /// What the camera does to the picture.
     pub sensor: Sensor,
+    /// What surfaces keep away from each other.
+    #[serde(default)]
+    pub shadow: Shadow,
 }
 
 /// A point light without fall-off.
@@ -43,6 +47,7 @@ impl Default for Look {
             paint: None,
             backdrop: Backdrop::default(),
             sensor: Sensor::default(),
+            shadow: Shadow::default(),
         }
     }
 }
@@ -56,7 +61,8 @@ impl Look {
         }
         let paint = rng.random_bool(0.7).then(|| Seed(rng.random()));
         let (ambient, lights) = random_lights(rng);
-        Self { ambient, lights, paint, backdrop: Backdrop::random(rng), sensor: Sensor::random(rng) }
+        let (backdrop, sensor) = (Backdrop::random(rng), Sensor::random(rng));
+        Self { ambient, lights, paint, backdrop, sensor, shadow: Shadow::random(rng) }
     }
 }
 

@@ -15,7 +15,9 @@ mod raster;
 mod scene;
 mod sensor;
 mod shade;
+mod shadow;
 mod tiles;
+mod timber;
 mod view;
 mod viewpoint;
 
@@ -27,6 +29,7 @@ pub use backdrop::Backdrop;
 pub use look::{Light, Look};
 pub use pattern::{Pattern, PatternKind};
 pub use sensor::Sensor;
+pub use shadow::Shadow;
 pub use view::View;
 pub use viewpoint::{Held, close_up, front_camera, sample_camera, visible_bounds};
 
@@ -65,7 +68,9 @@ pub fn render_with(
     let behind = look.backdrop.draw(camera, || visible_bounds(object, world_from_links));
     // Most pictures are mostly white: what shows nothing needs no work.
     let plain = match &behind {
-        Behind::Plain(colour) if look.sensor.is_plain() => Some(sensor::code(colour)),
+        Behind::Plain(colour) if look.sensor.is_plain() && look.shadow == Shadow::default() => {
+            Some(sensor::code(colour))
+        }
         _ => None,
     };
     let place = || Scene::new(object, world_from_links, extras, camera, look);
@@ -79,6 +84,7 @@ pub fn render_with(
         let mut lights: Vec<Vector3<f32>> =
             (0..size.pixels()).map(|at| behind.at(pixel_at(size, at))).collect();
         draw(&scene, &behind, &mut view, &mut lights, |light| *light);
+        look.shadow.fall(&view, look.lights.first().map(|lamp| lamp.position.into()), &mut lights);
         view.rgb = look.sensor.expose(&lights, size);
     }
     view

@@ -9,6 +9,7 @@ use where2act_core::Seed;
 
 use super::pattern::{Grain, floor, random_colour};
 use super::sensor::{decoder, linear};
+use super::timber::Timber;
 use crate::object::Material;
 
 /// A [`Material`] ready for shading.
@@ -33,8 +34,9 @@ impl Paint {
         }
     }
 
-    /// The same surface in other colours: most solid materials change, textures stay or go, some get a grain.
-    pub(super) fn repainted(material: &Material, seed: Seed) -> Self {
+    /// The same surface in other colours: most solid materials change, textures stay or go, some get a grain. Those of
+    /// wooden objects mostly become boards.
+    pub(super) fn repainted(material: &Material, timber: Option<&Timber>, seed: Seed) -> Self {
         let rng = &mut seed.rng();
         let mut paint = Self::new(material);
         if paint.opacity < 1.0 {
@@ -53,6 +55,10 @@ impl Paint {
         }
         if paint.texture.is_none() && rng.random_bool(0.4) {
             paint.grain = Some(Grain::random(rng));
+        }
+        if let Some(board) = timber.and_then(|timber| timber.board(seed.child("board", 0))) {
+            (paint.texture, paint.grain) = (Some(board), None);
+            paint.colour = Vector3::repeat(1.0);
         }
         if rng.random_bool(0.5) {
             paint.specular = rng.random_range(0.0..0.6f32).powi(2) * 2.0;

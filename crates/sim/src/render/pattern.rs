@@ -144,7 +144,7 @@ pub(super) fn floor(x: f32) -> f32 {
 }
 
 /// Three octaves of value noise, in [0, 1].
-fn fractal(p: Vector3<f32>, seed: u32) -> f32 {
+pub(super) fn fractal(p: Vector3<f32>, seed: u32) -> f32 {
     (4.0 * value_noise(p, seed) + 2.0 * value_noise(p * 2.1, seed ^ 1) + value_noise(p * 4.3, seed ^ 2)) / 7.0
 }
 
@@ -162,7 +162,7 @@ fn value_noise(p: Vector3<f32>, seed: u32) -> f32 {
 }
 
 /// A number in [0, 1) for a lattice point.
-fn unit_hash(i: i32, j: i32, k: i32, seed: u32) -> f32 {
+pub(super) fn unit_hash(i: i32, j: i32, k: i32, seed: u32) -> f32 {
     let mut h = seed ^ (i as u32).wrapping_mul(0x8da6_b343) ^ (j as u32).wrapping_mul(0xd816_3841);
     h ^= (k as u32).wrapping_mul(0xcb1a_b31f);
     // The finaliser of MurmurHash3.

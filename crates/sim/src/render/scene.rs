@@ -12,6 +12,7 @@ use super::light::{GLASS, NOTHING};
 use super::look::Look;
 use super::paint::Paint;
 use super::raster::{Grid, Region, nearness_range};
+use super::timber::Timber;
 use crate::object::{Mesh, Object};
 
 /// Vertices or triangles that one task prepares: some tens of microseconds of work.
@@ -100,10 +101,15 @@ impl<'a> Scene<'a> {
     ) -> Self {
         let mut paints: Vec<Paint> = match look.paint {
             None => object.materials.iter().map(Paint::new).collect(),
-            Some(seed) => (0u64..)
-                .zip(&object.materials)
-                .map(|(i, material)| Paint::repainted(material, seed.child("material", i)))
-                .collect(),
+            Some(seed) => {
+                let timber = Timber::random(seed.child("timber", 0));
+                (0u64..)
+                    .zip(&object.materials)
+                    .map(|(i, material)| {
+                        Paint::repainted(material, timber.as_ref(), seed.child("material", i))
+                    })
+                    .collect()
+            }
         };
         let camera_from_world = camera.camera_from_world();
         let mut placed = Vec::new();

@@ -323,3 +323,51 @@ fn any_number_of_threads_draws_the_same() {
         assert_eq!(draw(1), draw(3));
     }
 }
+
+/// A wall that faces the camera, and a plate half a metre before it, parallel to it, in the middle of the picture.
+fn plate_before_a_wall() -> Object {
+    let wall = rectangle([0.5, 2.0, -2.0], [0.0, -4.0, 0.0], [0.0, 0.0, 4.0]);
+    let plate = rectangle([0.4, 0.2, -0.2], [0.0, -0.4, 0.0], [0.0, 0.0, 0.4]);
+    object(vec![vec![(wall, 0)], vec![(plate, 0)]], vec![material([0.5; 3])])
+}
+
+#[test]
+fn a_plate_darkens_the_wall_on_the_far_side_of_the_lamp_alone() {
+    let object = plate_before_a_wall();
+    let lamp = Light { position: [-3.0, 0.0, 6.0], colour: [0.5; 3] };
+    let bare = Look { lights: vec![lamp], ..Look::default() };
+    let shadow = Shadow { corners: 0.0, reach: 0.2, cast: 0.5, length: 0.5 };
+    let render = |look: &Look| render(&object, &poses(&object), &front_camera(), look);
+    let (before, after) = (render(&bare), render(&Look { shadow, ..bare.clone() }));
+    assert_eq!(before.depth, after.depth);
+    let brightness = |view: &View, z: f32| {
+        let camera = view.camera.camera_from_world();
+        let (x, y) = view.camera.intrinsics.project(&(camera * Point3::new(0.5, 0.0, z))).expect("in front");
+        f32::from(view.rgb[view.camera.size.index(Pixel { u: x as u32, v: y as u32 })][1])
+    };
+    // The lamp is above: the shadow lies below the plate, as far as the plate stands out.
+    assert!(brightness(&after, -0.24) < 0.85 * brightness(&before, -0.24));
+    for lit in [0.3, -0.6, 0.0, 1.5] {
+        assert_eq!(brightness(&after, lit), brightness(&before, lit), "{lit}");
+    }
+}
+
+#[test]
+fn corners_are_darker_than_what_lies_open() {
+    let back = rectangle([0.5, 1.0, 0.0], [0.0, -2.0, 0.0], [0.0, 0.0, 2.0]);
+    let floor = rectangle([-1.5, 1.0, 0.0], [0.0, -2.0, 0.0], [2.0, 0.0, 0.0]);
+    let object = object(vec![vec![(back, 0), (floor, 0)]], vec![material([0.5; 3])]);
+    let size = ImageSize::square(448);
+    let camera =
+        Camera::look_at(Point3::new(-4.0, 0.0, 2.5), Point3::new(0.0, 0.0, 0.5), size, Camera::PUBLISHED_FOV);
+    let shadow = Shadow { corners: 0.8, reach: 0.2, cast: 0.0, length: 0.2 };
+    let even = Look { ambient: 0.9, lights: Vec::new(), ..Look::default() };
+    let view = render(&object, &poses(&object), &camera, &Look { shadow, ..even });
+    let brightness = |point: Point3<f32>| {
+        let (x, y) = camera.intrinsics.project(&(camera.camera_from_world() * point)).expect("in front");
+        f32::from(view.rgb[size.index(Pixel { u: x as u32, v: y as u32 })][1])
+    };
+    let (corner, open) = (brightness(Point3::new(0.48, 0.0, 0.0)), brightness(Point3::new(-0.5, 0.0, 0.0)));
+    assert!(corner < 0.8 * open, "{corner}, {open}");
+    assert_eq!(brightness(Point3::new(-1.0, 0.3, 0.0)), open);
+}
