@@ -58,7 +58,7 @@ struct Cli {
     /// Share of the scenes whose camera zooms in on the object, for networks for pictures.
     #[arg(long, default_value_t = 0.0, value_name = "FRACTION", value_parser = fraction)]
     close: f64,
-    /// Random light, materials, background and sensor noise, for networks that shall work on photos.
+    /// Random lights, shadows, materials, some of them wood, backgrounds and sensor noise, for networks that shall work on photos.
     #[arg(long)]
     randomise: bool,
     /// Share of the scenes whose object is stretched along its axes and perhaps lies on its side.

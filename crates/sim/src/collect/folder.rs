@@ -13,6 +13,10 @@ use crate::object::ObjectError;
 use super::compare::refuse_other;
 use super::{CollectError, Preparer, Recipe, Tally, collect_scene};
 
+/// Raised whenever a recipe no longer gives the objects, views and trials that it gave before: a data set begun with others
+/// is not gone on with.
+const GENERATORS: u32 = 2;
+
 /// Share of a data set that one machine makes: shards k with k % of == index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Part {
@@ -100,7 +104,7 @@ impl Collector {
         };
         let manifest = Manifest {
             format: FORMAT,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            version: format!("{}+{GENERATORS}", env!("CARGO_PKG_VERSION")),
             seed: recipe.seed,
             scenes: plan.scenes,
             scenes_per_shard: plan.scenes_per_shard.max(1),

@@ -21,7 +21,7 @@ pub struct Look {
     pub backdrop: Backdrop,
     /// What the camera does to the picture.
     pub sensor: Sensor,
-    /// What surfaces keep away from each other.
+    /// Where surfaces hide light.
     #[serde(default)]
     pub shadow: Shadow,
 }

@@ -68,7 +68,7 @@ pub fn render_with(
     let behind = look.backdrop.draw(camera, || visible_bounds(object, world_from_links));
     // Most pictures are mostly white: what shows nothing needs no work.
     let plain = match &behind {
-        Behind::Plain(colour) if look.sensor.is_plain() && look.shadow == Shadow::default() => {
+        Behind::Plain(colour) if look.sensor.is_plain() && look.shadow.is_none() => {
             Some(sensor::code(colour))
         }
         _ => None,

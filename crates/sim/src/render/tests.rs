@@ -259,6 +259,18 @@ fn odd_inputs_do_no_harm() {
     let object = object(vec![vec![(broken, 0), (Mesh::default(), 7)]], vec![material([0.5; 3])]);
     let view = render(&object, &poses(&object), &front_camera(), &Look::default());
     assert!(view.depth.iter().all(|d| d.is_finite()));
+    let shadow = Shadow { corners: 9.0, reach: 1e30, cast: 9.0, length: 1e30 };
+    for (position, paint) in [([0.0, 0.0, 0.5], None), ([-0.5, 0.0, 0.0], Some(Seed(3)))] {
+        let lights = vec![Light { position, colour: [0.5; 3] }];
+        for lights in [lights, Vec::new()] {
+            let look = Look { lights, paint, shadow, ..Look::default() };
+            for side in [448, 1, 0] {
+                let camera = Camera { size: ImageSize::square(side), ..front_camera() };
+                assert_eq!(render(&object, &poses(&object), &camera, &look).rgb.len(), side * side);
+                render(&EMPTY, &[], &camera, &look);
+            }
+        }
+    }
     let nothing = render(&EMPTY, &[], &front_camera(), &Look::default());
     assert!(nothing.rgb.iter().all(|&c| c == [255; 3]));
     assert!(nothing.point_in_world(middle()).is_none());

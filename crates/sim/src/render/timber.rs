@@ -1,8 +1,9 @@
-//! Wood with a strong figure: rings of a trunk that a board was cut from, knots, sapwood.
+//! Wood with a strong figure: rings of a trunk that a board was cut from, and knots.
 //!
-//! Its lines are as sharp as edges and gaps of fronts, so that networks for pictures learn to tell them apart.
+//! Its lines look like edges and gaps of fronts, so that networks for pictures learn to tell them apart. Boards are textures:
+//! meshes without texture coordinates get one colour of theirs.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use image::{Rgb, RgbImage};
 use nalgebra::Vector3;
@@ -14,30 +15,37 @@ use super::pattern::{fractal, unit_hash};
 /// Across and along the grain, pixels.
 const SIZE: [u32; 2] = [160, 320];
 /// Boards of an object.
-const BOARDS: u64 = 2;
+const BOARDS: usize = 2;
 /// Share of the objects whose paint is drawn anew that are made of it.
 const SHARE: f64 = 0.3;
 /// Share of the materials of such an object.
 const OF_MATERIALS: f64 = 0.75;
 
 /// What an object is made of: one species, a few boards.
-pub(super) struct Timber(Vec<Arc<RgbImage>>);
+pub(super) struct Timber {
+    species: Species,
+    seed: Seed,
+    /// Those that were asked for so far.
+    boards: [OnceLock<Arc<RgbImage>>; BOARDS],
+}
 
 impl Timber {
     /// That of an object, if it is a wooden one.
     pub(super) fn random(seed: Seed) -> Option<Self> {
         let rng = &mut seed.rng();
-        rng.random_bool(SHARE).then(|| {
-            let species = Species::random(rng);
-            Self((0..BOARDS).map(|n| Arc::new(species.board(seed.child("board", n)))).collect())
+        rng.random_bool(SHARE).then(|| Self {
+            species: Species::random(rng),
+            seed,
+            boards: Default::default(),
         })
     }
 
     /// A board for a material, if it is wood.
     pub(super) fn board(&self, seed: Seed) -> Option<Arc<RgbImage>> {
         let rng = &mut seed.rng();
-        let board = &self.0[rng.random_range(0..self.0.len())];
-        rng.random_bool(OF_MATERIALS).then(|| Arc::clone(board))
+        let number = rng.random_range(0..BOARDS);
+        let board = || Arc::new(self.species.board(self.seed.child("board", number as u64)));
+        rng.random_bool(OF_MATERIALS).then(|| Arc::clone(self.boards[number].get_or_init(board)))
     }
 }
 
@@ -127,6 +135,7 @@ mod tests {
                 (0..h).flat_map(|v| (0..w - 1).map(move |u| step(u, v))).sum::<f32>() / (h * (w - 1)) as f32;
             assert!(mean > 1.0, "{seed}: {mean}");
             assert!((0..h).all(|v| step(w - 1, v) == 0.0), "{seed}");
+            assert!((0..w).all(|u| tone(u, h - 1) == tone(u, h)), "{seed}");
         }
     }
 }

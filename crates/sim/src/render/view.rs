@@ -47,6 +47,13 @@ impl View {
         (depth > 0.0).then(|| self.camera.world_from_camera * point)
     }
 
+    /// The point in the camera frame seen at the centre of pixel (u, v); `None` for background and outside of the picture.
+    pub(super) fn point_in_camera(&self, u: isize, v: isize) -> Option<Point3<f32>> {
+        let pixel = Pixel { u: u.try_into().ok()?, v: v.try_into().ok()? };
+        let depth = self.depth[self.index(pixel)?];
+        (depth > 0.0).then(|| self.camera.intrinsics.pixel_to_point(pixel, depth))
+    }
+
     /// Whether a point in the world is more than `by` metres of depth behind what is seen before it.
     #[must_use]
     pub fn hides(&self, point_in_world: &Point3<f32>, by: f32) -> bool {

@@ -52,8 +52,8 @@ struct Args {
     /// Trials that know the joint, at most, before a primitive counts as impossible in a scene.
     #[arg(long, default_value_t = 200)]
     informed: usize,
-    /// Random lights, materials, backgrounds and sensors in three of four scenes instead of the
-    /// published look.
+    /// Random lights, shadows, materials, backgrounds and sensors in three of four scenes instead
+    /// of the published look.
     #[arg(long)]
     randomise: bool,
     /// Also execute proposals whose hand has no room by the depth map.

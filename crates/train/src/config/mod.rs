@@ -287,7 +287,7 @@ pub struct CollectConfig {
     pub trials: usize,
     /// Share of guided trials; the paper has none.
     pub guided: f32,
-    /// Random lights, materials, backgrounds and cameras.
+    /// Random lights, shadows, materials, backgrounds and cameras.
     pub randomise: bool,
     /// Share of the scenes, with trials and without, whose camera zooms in on the object, for `network.close_up`.
     #[serde(skip_serializing_if = "is_zero")]
