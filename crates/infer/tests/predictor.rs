@@ -1,6 +1,7 @@
 //! The library with small random networks: what holds for any weights.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
+use rand::RngExt;
 use where2act_core::{
     GRIPPER, Grasp, ImageSize, Intrinsics, Observation, Pixel, Prediction, Primitive, PrimitivePrediction,
     Seed, Timing,
@@ -550,6 +551,50 @@ fn points_beside_the_camera_spoil_no_drawing() {
     let Output { prediction, maps } = predictor.predict_dense(&scan, &Options::default()).unwrap();
     let overlay = draw_overlay(&maps, &prediction.primitives[0]);
     assert!(overlay.pixels().filter(|pixel| pixel.0 != [255; 3]).count() > 10_000);
+}
+
+/// Whatever hands and observations hold, hands have a score or none; CI runs this with overflow checks.
+#[test]
+fn odd_hands_on_odd_observations_have_a_score_or_none() {
+    const ODD: [f32; 8] = [0.0, -0.0, f32::NAN, f32::INFINITY, f32::MAX, f32::MIN_POSITIVE, -2.0, 1e30];
+    let (of_pictures, of_scans) = (predictor(Modality::Rgb), predictor(Modality::Cloud));
+    let rng = &mut Seed(5).rng();
+    let mut scored = 0;
+    for round in 0..40 {
+        let share = [0.0, 0.05, 0.5][round % 3];
+        let mut number = |usual: f32| {
+            if rng.random_bool(share) {
+                ODD[rng.random_range(0..ODD.len())]
+            } else {
+                usual + rng.random_range(-0.01..0.01f32)
+            }
+        };
+        let (width, height) = [(24, 18), (1, 1), (40, 1), (1, 40)][round % 4];
+        let size = ImageSize { width, height };
+        let depth = (round % 5 != 0).then(|| (0..size.pixels()).map(|_| number(2.0)).collect());
+        let Observation::Image { rgb, .. } = picture(width, height) else { unreachable!() };
+        let intrinsics = Some(Intrinsics::from_fov(size, 0.6));
+        let scan = ball(600, 0.5, 2.0).iter().map(|p| p.map(&mut number)).collect();
+        let hands: Vec<(Primitive, Grasp)> = (0..30)
+            .map(|i| {
+                let point = Point3::new(0.01 * i as f32, 0.0, 1.5 + 0.5 * (i % 2) as f32).map(&mut number);
+                let hand = Grasp::new(point, Vector3::z().map(&mut number), Vector3::x().map(&mut number));
+                (Primitive::ALL[i % 6], hand)
+            })
+            .collect();
+        let views = [
+            (&of_scans, Observation::Cloud { points: scan }),
+            (&of_pictures, Observation::Image { size, rgb, depth, intrinsics, mask: None }),
+        ];
+        for (predictor, view) in views {
+            if let Ok(scores) = predictor.score(&view, &hands, &Options::default()) {
+                assert_eq!(scores.len(), hands.len());
+                assert!(scores.iter().flatten().all(|score| (0.0..=1.0).contains(score)), "{scores:?}");
+                scored += scores.iter().flatten().count();
+            }
+        }
+    }
+    assert!(scored > 100, "{scored}");
 }
 
 /// What is built in is what lies in `weights/`, and it answers as if it had been loaded from there.
