@@ -1,6 +1,7 @@
 //! The frame in which a network knows directions: that of a camera which looks at the object, as in training.
 
 use std::borrow::Cow;
+use std::f32::consts::FRAC_PI_2;
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::is_measured;
@@ -8,6 +9,9 @@ use where2act_core::is_measured;
 /// So far off the camera's axis, radians, the middle of an object may be that counts as looked at: in 640 scenes of training it was
 /// up to 4.7 degrees (`weights/EXPERIMENTS.md`, "Cameras that are not held as in training").
 const OFF_AXIS: f32 = 8.0 * std::f32::consts::PI / 180.0;
+/// Sine of the angle between the camera's axis and the vertical below which no direction in the picture is up: that of 10 degrees.
+/// Cameras of training look down by 60, or 70, degrees at most.
+const STEEP: f32 = 0.174;
 
 /// `camera_from_gaze`: the frame of the camera turned by the shortest way so that its axis goes through the middle of the object,
 /// a point in the camera's frame. The camera's own if it looks there.
@@ -16,12 +20,37 @@ pub(crate) fn gaze(middle: &Point3<f32>) -> Rotation3<f32> {
     turn.filter(|turn| turn.angle() > OFF_AXIS).unwrap_or_else(Rotation3::identity)
 }
 
-/// [`gaze`] at the mean of a scan, and the scan as it is seen then.
-pub(crate) fn gaze_at(points: &[Point3<f32>]) -> (Rotation3<f32>, Cow<'_, [Point3<f32>]>) {
+/// How far a camera is rolled, radians about its axis, that looks along the z axis of `camera_from_gaze`: turned back by so much it
+/// has `up`, a direction in the camera's frame, at the top of its picture. 0 if nobody says which way is up, and for who looks so
+/// steeply up or down that nothing is at the top.
+pub(crate) fn roll(camera_from_gaze: &Rotation3<f32>, up: Option<Vector3<f32>>) -> f32 {
+    let up = up.map(|up| camera_from_gaze.inverse() * up.normalize());
+    up.filter(|up| up.xy().norm() > STEEP).map_or(0.0, |up| up.x.atan2(-up.y))
+}
+
+/// [`roll`] in quarter turns, which pictures can be turned by, and the rotation by them.
+pub(crate) fn quarters(camera_from_gaze: &Rotation3<f32>, up: Option<Vector3<f32>>) -> (i32, Rotation3<f32>) {
+    let quarters = (roll(camera_from_gaze, up) / FRAC_PI_2).round();
+    (quarters as i32, about_axis(quarters * FRAC_PI_2))
+}
+
+fn about_axis(angle: f32) -> Rotation3<f32> {
+    Rotation3::from_axis_angle(&Vector3::z_axis(), angle)
+}
+
+/// [`gaze`] at the mean of a scan by a camera that is not rolled, and the scan as it is seen then.
+pub(crate) fn gaze_at(
+    points: &[Point3<f32>],
+    up: Option<Vector3<f32>>,
+) -> (Rotation3<f32>, Cow<'_, [Point3<f32>]>) {
     let measured = points.iter().filter(|point| is_measured(point));
     let sum = measured.fold(Vector3::zeros(), |sum: Vector3<f64>, point| sum + point.coords.cast());
     // How long it is is of no consequence.
     let camera_from_gaze = gaze(&Point3::from(sum.normalize().cast()));
+    let camera_from_gaze = match roll(&camera_from_gaze, up) {
+        0.0 => camera_from_gaze,
+        roll => camera_from_gaze * about_axis(roll),
+    };
     if camera_from_gaze == Rotation3::identity() {
         return (camera_from_gaze, Cow::Borrowed(points));
     }
@@ -50,13 +79,46 @@ mod tests {
     }
 
     #[test]
+    fn who_is_rolled_is_turned_back() {
+        let whole = |angle: f32| [-1.0, 0.0, 1.0].map(|turns| angle + turns * std::f32::consts::TAU);
+        for degrees in [-170.0f32, -90.0, -30.0, 0.0, 20.0, 90.0, 180.0] {
+            // From above: up leans away from who looks.
+            let up = about_axis(degrees.to_radians()) * Vector3::new(0.0, -0.6, -0.8);
+            let found = roll(&Rotation3::identity(), Some(up * 7.0));
+            assert!(
+                whole(found).iter().any(|f| (f - degrees.to_radians()).abs() < 1e-5),
+                "{degrees}: {found}"
+            );
+            for middle in [Point3::new(0.0, 0.0, 2.0), Point3::new(1.0, -0.4, 2.0)] {
+                let points =
+                    [middle, middle + Vector3::new(0.3, 0.2, 0.0), middle - Vector3::new(0.3, 0.2, 0.0)];
+                let (camera_from_gaze, seen) = gaze_at(&points, Some(up));
+                let above = camera_from_gaze.inverse() * up;
+                assert!(above.x.abs() < 1e-6 && above.y < 0.0, "{above}");
+                assert!((camera_from_gaze * seen[1] - points[1]).norm() < 1e-6);
+                let (quarters, turn) = quarters(&gaze(&middle), Some(up));
+                let above = turn.inverse() * gaze(&middle).inverse() * up;
+                assert!(
+                    (-2..=2).contains(&quarters) && above.x.abs() <= -above.y + 1e-6,
+                    "{quarters}: {above}"
+                );
+            }
+        }
+        let down = [Vector3::new(0.05, 0.1, -1.0), Vector3::zeros(), Vector3::repeat(f32::NAN)];
+        assert!(down.iter().all(|up| roll(&Rotation3::identity(), Some(*up)) == 0.0));
+        assert_eq!(quarters(&Rotation3::identity(), Some(Vector3::x())).0, 1);
+    }
+
+    #[test]
     fn what_a_scan_did_not_measure_stays_that() {
         let beside = [Point3::new(1.0, 0.0, 1.0), Point3::new(1.2, 0.0, 1.2)];
         let points = [beside[0], Point3::origin(), Point3::new(1.0, f32::NAN, 1.0), beside[1]];
-        let (camera_from_gaze, seen) = gaze_at(&points);
+        let (camera_from_gaze, seen) = gaze_at(&points, None);
         assert!((camera_from_gaze.angle() - 45f32.to_radians()).abs() < 1e-6);
         assert!((seen[0] - Point3::new(0.0, 0.0, 2f32.sqrt())).norm() < 1e-6);
         assert_eq!(seen.iter().map(is_measured).collect::<Vec<_>>(), [true, false, false, true]);
-        assert!(matches!(gaze_at(&points[1..3]), (turn, Cow::Borrowed(_)) if turn == Rotation3::identity()));
+        assert!(
+            matches!(gaze_at(&points[1..3], None), (turn, Cow::Borrowed(_)) if turn == Rotation3::identity())
+        );
     }
 }

@@ -1,5 +1,6 @@
 //! What a caller may ask for.
 
+use nalgebra::Vector3;
 use where2act_core::{Pixel, Primitive, Seed};
 
 use crate::Error;
@@ -32,6 +33,11 @@ pub struct Options {
     /// close; and those that would begin behind something seen. There may be fewer proposals then than asked for, or none.
     /// Default: true.
     pub clearance: bool,
+    /// Which way is up, in the camera's frame, of any length: what an IMU or the arm's pose tells of a camera that is not held
+    /// upright, such as one at a wrist. Networks learnt from upright cameras, so scans are turned by as much, pictures by quarter
+    /// turns, and what is said of them is turned back. Heeded unless the camera looks straight up or down.
+    /// Default: `None`, an upright camera.
+    pub up: Option<Vector3<f32>>,
     /// Root of the randomness of the proposals. The same seed and input give the same bits.
     pub seed: Seed,
     /// Network units per metre of a depth map or scan, which is how the object's size is made one the network knows.
@@ -89,6 +95,12 @@ impl Options {
         if self.min_score.is_nan() {
             return Err(Error::invalid("min_score", "a number", "NaN"));
         }
+        if let Some(up) = self.up
+            && !(up.norm().is_normal() && up.iter().all(|x| x.is_finite()))
+        {
+            let found = format!("{}, {}, {}", up.x, up.y, up.z);
+            return Err(Error::invalid("up", "a direction, three numbers not all 0", found));
+        }
         match self.network_from_metres {
             Some(s) if !(s.is_finite() && (1e-6..=1e6).contains(&s)) => {
                 Err(Error::invalid("network_from_metres", "a number in [1e-6, 1e6]", s.to_string()))
@@ -110,6 +122,7 @@ impl Default for Options {
             pixel: None,
             region: None,
             clearance: true,
+            up: None,
             seed: Seed(0),
             network_from_metres: None,
         }

@@ -6,14 +6,16 @@ use std::sync::OnceLock;
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::{ImageSize, Observation, Pixel, Primitive, is_measured};
-use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError};
+use where2act_model::preprocess::{
+    CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError, Turns, Window,
+};
 use where2act_model::{Modality, ModelConfig};
 
 use crate::backbone::NetworkInput;
 use crate::clearance::{GRIP_REACH, REACH, Room};
 use crate::decode::Places;
 use crate::dense::{Geometry, on_object, seen_point};
-use crate::gaze::{gaze, gaze_at};
+use crate::gaze::{gaze, gaze_at, quarters};
 use crate::nearest::NearestIndex;
 use crate::predictor::{Place, reads};
 use crate::surface::{DepthView, normal};
@@ -93,8 +95,16 @@ impl<'a> Prepared<'a> {
         let Observation::Image { size, rgb: Some(rgb), mask, intrinsics, .. } = observation else {
             return Err(Error::invalid("observation", "a picture", "none"));
         };
+        let mut camera_from_gaze = Rotation3::identity();
+        let upright = |window: &Window| {
+            camera_from_gaze = intrinsics.map_or(camera_from_gaze, |camera| gaze(&window.middle(&camera)));
+            let (quarters, turn) = quarters(&camera_from_gaze, options.up);
+            camera_from_gaze *= turn;
+            Turns::new(-quarters)
+        };
         let ImageInput { values, letterbox } =
-            ImageInput::new(*size, rgb, mask.as_deref(), &config.preprocessing).map_err(unusable)?;
+            ImageInput::turned(*size, rgb, mask.as_deref(), upright, &config.preprocessing)
+                .map_err(unusable)?;
         if let Some(pixel) = options.pixel.filter(|pixel| !on_object(observation, *pixel)) {
             return Err(Error::invalid("pixel", "one of the object", format!("{},{}", pixel.u, pixel.v)));
         }
@@ -125,8 +135,6 @@ impl<'a> Prepared<'a> {
             let what = if masked { "mask" } else { "region" };
             return Err(Error::NothingThere { what });
         }
-        let camera_from_gaze =
-            intrinsics.map_or_else(Rotation3::identity, |camera| gaze(&letterbox.window.middle(&camera)));
         Ok(Self {
             input: NetworkInput::Picture { values, side },
             places,
@@ -152,7 +160,7 @@ impl<'a> Prepared<'a> {
             Observation::Cloud { points } => Some(points.as_slice()),
             Observation::Image { .. } => None,
         };
-        let (camera_from_gaze, points) = gaze_at(scan.unwrap_or(&points));
+        let (camera_from_gaze, points) = gaze_at(scan.unwrap_or(&points), options.up);
         let gaze_from_camera = camera_from_gaze.inverse();
         let mut input = CloudInput::new(&points, scale, config, &mut rng).map_err(unusable)?;
         let none =

@@ -1,7 +1,7 @@
 //! What hands of the caller's own are worth: those of a planner, say, that the arm can reach.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use nalgebra::{Matrix3, Point3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 use where2act_core::{Grasp, ImageSize, Intrinsics, Observation, Orientation6, Pixel, Primitive};
 use where2act_model::preprocess::CloudInput;
@@ -48,7 +48,7 @@ impl Predictor {
     /// The score is the mean, in logits, of what the network says of the observation and of its mirror image, for which the
     /// backbone runs twice. On most sets of `weights/RESULTS.md` it tells random trials apart a little better than one look.
     /// Whether a hand has room is not looked up, as it is for proposals; the network knows what it learnt of that. Of the
-    /// options `seed` and `network_from_metres` matter.
+    /// options `up`, `seed` and `network_from_metres` matter.
     ///
     /// # Errors
     /// As [`Self::predict`]; and [`Error::Invalid`] for a picture without intrinsics, on which no point can be found.
@@ -58,8 +58,8 @@ impl Predictor {
         hands: &[(Primitive, Grasp)],
         options: &Options,
     ) -> Result<Vec<Option<f32>>, Error> {
-        let Options { seed, network_from_metres, .. } = *options;
-        let options = Options { seed, network_from_metres, ..Options::default() };
+        let Options { up, seed, network_from_metres, .. } = *options;
+        let options = Options { up, seed, network_from_metres, ..Options::default() };
         options.validate()?;
         if matches!(observation, Observation::Image { intrinsics: None, .. }) {
             let expected = "those of the camera, to find contact points in the picture";
@@ -71,8 +71,9 @@ impl Predictor {
             self.config.output_of(*found).ok_or_else(unknown)
         };
         let outputs: Vec<usize> = hands.iter().map(output).collect::<Result<_, Error>>()?;
-        let prepare = |observation| Prepared::new(observation, &self.config, &self.model().name, &options);
-        let prepared = prepare(observation)?;
+        let prepare =
+            |observation, options| Prepared::new(observation, &self.config, &self.model().name, options);
+        let prepared = prepare(observation, &options)?;
         let mut scores = vec![None; hands.len()];
         let seen: Vec<Option<Asked>> = hands
             .par_iter()
@@ -87,8 +88,11 @@ impl Predictor {
             self.scoring.logits(&self.backbone, &self.config, prepared, asked)
         };
         let mirror = mirrored(observation);
+        let up = up.map(|up| Vector3::new(-up.x, up.y, up.z));
+        let in_mirror_up = Options { up, ..options.clone() };
         let in_mirror: Vec<Asked> = asked.iter().map(|asked| asked.mirrored(observation)).collect();
-        let (one, other) = (logits(&prepared, &asked)?, logits(&prepare(&mirror)?, &in_mirror)?);
+        let (one, other) =
+            (logits(&prepared, &asked)?, logits(&prepare(&mirror, &in_mirror_up)?, &in_mirror)?);
         let rows = one.chunks_exact(known.len()).zip(other.chunks_exact(known.len()));
         for ((slot, output), (one, other)) in slots.into_iter().zip(rows) {
             *slot = one.get(output).zip(other.get(output)).map(|(a, b)| sigmoid(0.5 * (a + b)));
@@ -236,8 +240,9 @@ fn mirrored_point(point: &Point3<f32>) -> Point3<f32> {
 #[cfg(test)]
 mod tests {
     use burn::tensor::Device;
-    use nalgebra::{Rotation3, Vector3};
+    use nalgebra::Rotation3;
     use where2act_core::Seed;
+    use where2act_model::preprocess::Turns;
     use where2act_model::{Modality, Network, Weights};
 
     use super::*;
@@ -322,12 +327,17 @@ mod tests {
     #[test]
     fn a_proposal_s_hand_is_scored_as_the_proposal_was_and_as_its_mirror_image() {
         for (i, (predictor, view)) in cases().into_iter().enumerate() {
-            let options = scaled(if i % 2 == 0 { 1.0 } else { 0.7 });
+            let up = (i % 3 == 1).then(|| Vector3::new(0.9, 0.2, -0.3));
+            let options = Options { up, ..scaled(if i % 2 == 0 { 1.0 } else { 0.7 }) };
             let (hands, expected): (Vec<_>, Vec<f32>) =
                 proposed(&predictor, &view, &options).into_iter().unzip();
             assert!(hands.len() > 50, "{i}: {}", hands.len());
             // What the network says of one view.
             let logits = |view: &Observation, mirror: bool| -> Vec<f32> {
+                let mut options = options.clone();
+                if let (Some(up), true) = (&mut options.up, mirror) {
+                    up.x = -up.x;
+                }
                 let prepared = Prepared::new(view, &predictor.config, "", &options).unwrap();
                 let asked = |(primitive, grasp): &(Primitive, Grasp)| {
                     let Grasp { point, rotation } = grasp;
@@ -385,15 +395,17 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_beside_the_middle_is_seen_as_by_a_camera_that_looks_there() {
+    fn a_scan_beside_the_middle_by_a_rolled_camera_is_seen_as_by_one_that_looks_there_upright() {
         let Observation::Cloud { points } = scan_of(&step_beside()) else { unreachable!() };
-        let (turn, looked_at) = gaze_at(&points);
+        let up = Vector3::new(0.5, -0.4, -0.2);
+        let (turn, looked_at) = gaze_at(&points, Some(up));
         let looked_at = looked_at.into_owned();
-        assert!(turn.angle() > 0.4 && gaze_at(&looked_at).0 == Rotation3::identity());
+        assert!(turn.angle() > 0.8 && gaze_at(&looked_at, None).0 == Rotation3::identity());
         let predictor = predictor(Modality::Cloud, true, Backend::Fast);
-        let options = Options { clearance: false, ..scaled(1.0) };
-        let [beside, looked_at] = [points, looked_at]
-            .map(|points| predictor.predict(&Observation::Cloud { points }, &options).unwrap().primitives);
+        let [beside, looked_at] = [(points, Some(up)), (looked_at, None)].map(|(points, up)| {
+            let options = Options { up, clearance: false, ..scaled(1.0) };
+            predictor.predict(&Observation::Cloud { points }, &options).unwrap().primitives
+        });
         for (found, expected) in beside.iter().zip(&looked_at) {
             assert_eq!(found.proposals.len(), expected.proposals.len());
             for (found, expected) in found.proposals.iter().zip(&expected.proposals) {
@@ -402,6 +414,55 @@ mod tests {
                 assert!((turn * expected.point - found.point).norm() < 1e-5);
                 let off = (turn * expected.rotation).matrix() - found.rotation.matrix();
                 assert!(off.amax() < 1e-5, "{off}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_by_a_camera_on_its_side_is_proposed_for_as_the_upright_one() {
+        let predictor = predictor(Modality::Rgb, false, Backend::Fast);
+        let upright = step_beside();
+        let Observation::Image { size, rgb, depth, intrinsics, mask } = &upright else { unreachable!() };
+        for quarters in 1..4 {
+            let turns = Turns::new(quarters);
+            let turned = turns.size(*size);
+            let place = |[x, y]: [f64; 2]| turns.turn([x, y], *size);
+            let before = |i: usize| {
+                let at = [(i % turned.width) as f64 + 0.5, (i / turned.width) as f64 + 0.5];
+                let [x, y] = turns.back().turn(at, turned);
+                size.index(Pixel { u: x as u32, v: y as u32 })
+            };
+            let order: Vec<usize> = (0..turned.pixels()).map(before).collect();
+            let camera = intrinsics.unwrap();
+            let [cx, cy] = place([camera.cx.into(), camera.cy.into()]).map(|c| c as f32);
+            let (fx, fy) = if quarters == 2 { (camera.fx, camera.fy) } else { (camera.fy, camera.fx) };
+            let on_its_side = Observation::Image {
+                size: turned,
+                rgb: rgb.as_ref().map(|rgb| order.iter().map(|&i| rgb[i]).collect()),
+                depth: depth.as_ref().map(|depth| order.iter().map(|&i| depth[i]).collect()),
+                intrinsics: Some(Intrinsics { fx, fy, cx, cy }),
+                mask: mask.as_ref().map(|mask| order.iter().map(|&i| mask[i]).collect()),
+            };
+            let side_from_upright =
+                Rotation3::from_axis_angle(&Vector3::z_axis(), quarters as f32 * std::f32::consts::FRAC_PI_2);
+            let up = Some(side_from_upright * Vector3::new(0.1, -0.8, -0.6));
+            let predict = |view: &Observation, up| {
+                let options = Options { up, clearance: false, ..scaled(1.0) };
+                predictor.predict(view, &options).unwrap().primitives
+            };
+            for (found, expected) in predict(&on_its_side, up).iter().zip(predict(&upright, None)) {
+                let (found, expected) = (&found.proposals, &expected.proposals);
+                assert!(found.len() == expected.len() && !found.is_empty());
+                for (found, expected) in found.iter().zip(expected) {
+                    let Pixel { u, v } = expected.pixel;
+                    let [x, y] = place([f64::from(u) + 0.5, f64::from(v) + 0.5]);
+                    assert_eq!(found.pixel, Pixel { u: x as u32, v: y as u32 });
+                    assert!((found.score - expected.score).abs() < 1e-5);
+                    let (found, expected) = (found.grasp().unwrap(), expected.grasp().unwrap());
+                    assert!((side_from_upright * expected.point - found.point).norm() < 1e-4);
+                    let off = (side_from_upright * expected.rotation).matrix() - found.rotation.matrix();
+                    assert!(off.amax() < 1e-4, "{off}");
+                }
             }
         }
     }

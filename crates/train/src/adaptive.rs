@@ -130,7 +130,7 @@ fn explore_scene(
     }
     // Photos have no depth map, so the network for pictures has to learn by itself which hands have room.
     let clearance = predictor.config().modality == Modality::Cloud;
-    let wanted = Wanted { count: BEST, clearance, anywhere: false };
+    let wanted = Wanted { count: BEST, clearance, anywhere: false, up: false };
     let all = proposals(predictor, prep, &sampler, wanted, seed)?;
     for (output, (own, &primitive)) in all.into_iter().zip(primitives).enumerate() {
         let mut own: Vec<Candidate> = own.into_iter().flatten().collect();

@@ -58,11 +58,78 @@ impl Window {
         camera.back_project(self.left as f32 + 0.5 * width as f32, self.top as f32 + 0.5 * height as f32, 1.0)
     }
 
-    /// The picture's pixels in the window, row by row, as indices of its buffers.
-    fn indices(self, picture: ImageSize) -> impl Iterator<Item = usize> {
+    /// The picture's pixels in the window, row by row of what is seen when it is turned, as indices of its buffers.
+    fn indices(self, picture: ImageSize, turns: Turns) -> impl Iterator<Item = usize> {
         let Self { left, top, size } = self;
-        (top..top + size.height)
-            .flat_map(move |row| (left..left + size.width).map(move |u| row * picture.width + u))
+        let (right, bottom, down) = (left + size.width - 1, top + size.height - 1, picture.width as isize);
+        let (first, across, along) = match turns {
+            Turns::None => ((left, top), 1, down),
+            Turns::One => ((left, bottom), -down, 1),
+            Turns::Two => ((right, bottom), -1, -down),
+            Turns::Three => ((right, top), down, -1),
+        };
+        let ImageSize { width, height } = turns.size(size);
+        let first = (first.1 * picture.width + first.0) as isize;
+        (0..height as isize)
+            .flat_map(move |v| (0..width as isize).map(move |u| (first + u * across + v * along) as usize))
+    }
+}
+
+/// Quarter turns of a picture, clockwise.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Turns {
+    /// As it is.
+    #[default]
+    None,
+    /// What was at the left is at the top.
+    One,
+    /// On its head.
+    Two,
+    /// What was at the right is at the top.
+    Three,
+}
+
+impl Turns {
+    /// So many, or so many less than four times any number.
+    #[must_use]
+    pub const fn new(count: i32) -> Self {
+        match count.rem_euclid(4) {
+            0 => Self::None,
+            1 => Self::One,
+            2 => Self::Two,
+            _ => Self::Three,
+        }
+    }
+
+    /// Size of a turned picture.
+    #[must_use]
+    pub const fn size(self, size: ImageSize) -> ImageSize {
+        match self {
+            Self::None | Self::Two => size,
+            Self::One | Self::Three => ImageSize { width: size.height, height: size.width },
+        }
+    }
+
+    /// Where a position of a picture of this size is when it is turned.
+    #[must_use]
+    pub fn turn(self, [x, y]: [f64; 2], size: ImageSize) -> [f64; 2] {
+        let (width, height) = (size.width as f64, size.height as f64);
+        match self {
+            Self::None => [x, y],
+            Self::One => [height - y, x],
+            Self::Two => [width - x, height - y],
+            Self::Three => [y, width - x],
+        }
+    }
+
+    /// As many the other way round.
+    #[must_use]
+    pub const fn back(self) -> Self {
+        match self {
+            Self::One => Self::Three,
+            Self::Three => Self::One,
+            same => same,
+        }
     }
 }
 
@@ -82,16 +149,18 @@ fn span(counts: &[usize]) -> Option<(usize, usize)> {
     Some((first, last + 1))
 }
 
-/// How a picture, or a window of it, lies in the network's square: scaled to fit, centred, bars on two sides.
+/// How a picture, or a window of it, lies in the network's square: turned, scaled to fit, centred, bars on two sides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Letterbox {
     /// Size of the picture.
     pub source: ImageSize,
     /// What of it is shown.
     pub window: Window,
+    /// How that is turned.
+    pub turns: Turns,
     /// Side of the square.
     pub side: usize,
-    /// Size of the window inside the square.
+    /// Size of the turned window inside the square.
     pub inner: ImageSize,
     /// Column and row of the square where the window begins.
     pub offset: (usize, usize),
@@ -103,12 +172,17 @@ impl Letterbox {
     /// # Errors
     /// [`PreprocessError::EmptyImage`].
     pub fn new(source: ImageSize, side: usize) -> Result<Self, PreprocessError> {
-        Self::of_window(source, Window::whole(source), side)
+        Self::of_window(source, Window::whole(source), Turns::None, side)
     }
 
-    /// The same of a window inside the picture.
-    fn of_window(source: ImageSize, window: Window, side: usize) -> Result<Self, PreprocessError> {
-        let shown = window.size;
+    /// The same of a window inside the picture, turned.
+    fn of_window(
+        source: ImageSize,
+        window: Window,
+        turns: Turns,
+        side: usize,
+    ) -> Result<Self, PreprocessError> {
+        let shown = turns.size(window.size);
         if source.pixels() == 0 || shown.pixels() == 0 || side == 0 {
             return Err(PreprocessError::EmptyImage);
         }
@@ -118,6 +192,7 @@ impl Letterbox {
         Ok(Self {
             source,
             window,
+            turns,
             side,
             inner,
             offset: ((side - inner.width) / 2, (side - inner.height) / 2),
@@ -127,30 +202,33 @@ impl Letterbox {
     /// Where a pixel of the picture lies in the square; the nearest one that is shown, if it is beside the window.
     #[must_use]
     pub fn to_network(&self, pixel: Pixel) -> Pixel {
-        let along = |p: u32, start: usize, from: usize, to: usize, offset: usize| {
-            let inside = ((f64::from(p) + 0.5 - start as f64) * to as f64 / from as f64).max(0.0) as usize;
+        let Window { left, top, size } = self.window;
+        let centre = [f64::from(pixel.u) + 0.5 - left as f64, f64::from(pixel.v) + 0.5 - top as f64];
+        let ([x, y], from) = (self.turns.turn(centre, size), self.turns.size(size));
+        let along = |x: f64, from: usize, to: usize, offset: usize| {
+            let inside = (x * to as f64 / from as f64).max(0.0) as usize;
             (offset + inside.min(to - 1)) as u32
         };
-        let Window { left, top, size } = self.window;
         Pixel {
-            u: along(pixel.u, left, size.width, self.inner.width, self.offset.0),
-            v: along(pixel.v, top, size.height, self.inner.height, self.offset.1),
+            u: along(x, from.width, self.inner.width, self.offset.0),
+            v: along(y, from.height, self.inner.height, self.offset.1),
         }
     }
 
     /// The pixel of the picture in the middle of a pixel of the square; `None` on the bars.
     #[must_use]
     pub fn to_source(&self, pixel: Pixel) -> Option<Pixel> {
-        let along = |p: u32, start: usize, from: usize, to: usize, offset: usize| {
-            let inside = (p as usize).checked_sub(offset).filter(|i| *i < to)?;
-            let inside = (((inside as f64 + 0.5) * from as f64 / to as f64) as usize).min(from - 1);
-            Some((start + inside) as u32)
-        };
         let Window { left, top, size } = self.window;
-        Some(Pixel {
-            u: along(pixel.u, left, size.width, self.inner.width, self.offset.0)?,
-            v: along(pixel.v, top, size.height, self.inner.height, self.offset.1)?,
-        })
+        let turned = self.turns.size(size);
+        let along = |p: u32, from: usize, to: usize, offset: usize| {
+            let inside = (p as usize).checked_sub(offset).filter(|i| *i < to)?;
+            Some((inside as f64 + 0.5) * from as f64 / to as f64)
+        };
+        let x = along(pixel.u, turned.width, self.inner.width, self.offset.0)?;
+        let y = along(pixel.v, turned.height, self.inner.height, self.offset.1)?;
+        let [x, y] = self.turns.back().turn([x, y], turned);
+        let inside = |x: f64, start: usize, length: usize| (start + (x as usize).min(length - 1)) as u32;
+        Some(Pixel { u: inside(x, left, size.width), v: inside(y, top, size.height) })
     }
 
     /// Row-major index in the square of [`Self::to_network`]: what queries of the U-Net's features are made of.
@@ -181,6 +259,20 @@ impl ImageInput {
         mask: Option<&[bool]>,
         with: &Preprocessing,
     ) -> Result<Self, PreprocessError> {
+        Self::turned(size, rgb, mask, |_| Turns::None, with)
+    }
+
+    /// The same of a picture that is turned before the network sees it: `turns` says how, of the part that is shown.
+    ///
+    /// # Errors
+    /// Those of [`Self::new`].
+    pub fn turned(
+        size: ImageSize,
+        rgb: &[[u8; 3]],
+        mask: Option<&[bool]>,
+        turns: impl FnOnce(&Window) -> Turns,
+        with: &Preprocessing,
+    ) -> Result<Self, PreprocessError> {
         PreprocessError::check_size("the colour buffer", size, rgb.len())?;
         if let Some(mask) = mask {
             PreprocessError::check_size("the mask", size, mask.len())?;
@@ -189,7 +281,8 @@ impl ImageInput {
             (Some(mask), Some(margin)) => Window::around(mask, size, margin),
             _ => Window::whole(size),
         };
-        let letterbox = Letterbox::of_window(size, window, with.image_side)?;
+        let turns = turns(&window);
+        let letterbox = Letterbox::of_window(size, window, turns, with.image_side)?;
         let mask = mask.filter(|_| with.white_background);
         let background = if with.white_background { 1.0 } else { 0.0 };
         let (side, inner) = (with.image_side, letterbox.inner);
@@ -199,8 +292,8 @@ impl ImageInput {
                 Some(mask) if !mask[i] => 1.0,
                 _ => f32::from(rgb[i][channel]) / 255.0,
             };
-            let plane: Vec<f32> = window.indices(size).map(colour).collect();
-            let small = resize(&plane, window.size, inner);
+            let plane: Vec<f32> = window.indices(size, turns).map(colour).collect();
+            let small = resize(&plane, turns.size(window.size), inner);
             let normal = |x: f32| (x - mean) / std;
             let start = values.len();
             values.resize(start + side * side, normal(background));
@@ -261,6 +354,7 @@ mod tests {
         #[test]
         fn a_window_holds_its_mask_in_the_middle_and_every_pixel_of_it_comes_back(
             w in 1usize..300, h in 1usize..300, corners in proptest::array::uniform4(0.0f32..1.0), margin in 1.0f32..3.0,
+            quarters in 0..4,
         ) {
             let size = ImageSize { width: w, height: h };
             let at = |share: f32, length: usize| (share * length as f32) as usize;
@@ -282,7 +376,7 @@ mod tests {
                     prop_assert!((first - start).abs_diff(end - last) <= 2, "{start} {first} {last} {end}");
                 }
             }
-            let letterbox = Letterbox::of_window(size, window, 64).unwrap();
+            let letterbox = Letterbox::of_window(size, window, Turns::new(quarters), 64).unwrap();
             let off = 64.0 / window.size.width.max(window.size.height) as f32;
             for (u, v) in [(0, 32), (32, 0), (32, 32), (63, 32), (32, 63)] {
                 let Some(source) = letterbox.to_source(Pixel { u, v }) else { continue };
@@ -325,6 +419,42 @@ mod tests {
         let whole = |mask| ImageInput::new(size, &rgb, mask, &with).unwrap().letterbox;
         assert_eq!(whole(None), Letterbox::new(size, 32).unwrap());
         assert_eq!(whole(Some(&[false; 6300])), Letterbox::new(size, 32).unwrap());
+    }
+
+    #[test]
+    fn a_picture_is_turned_as_if_somebody_had_turned_it_before() {
+        let size = ImageSize { width: 50, height: 30 };
+        let (rgb, mask) = masked(size, [10, 6, 31, 17]);
+        let with = Preprocessing { image_side: 32, close_up: Some(1.2), ..Preprocessing::default() };
+        for quarters in 0..4 {
+            let turns = Turns::new(quarters);
+            let turned = turns.size(size);
+            // Where a pixel of the turned picture was.
+            let from = |i: usize| {
+                let place = [(i % turned.width) as f64 + 0.5, (i / turned.width) as f64 + 0.5];
+                let [x, y] = turns.back().turn(place, turned);
+                size.index(Pixel { u: x as u32, v: y as u32 })
+            };
+            let rgb_before: Vec<_> = (0..size.pixels()).map(|i| rgb[from(i)]).collect();
+            let mask_before: Vec<_> = (0..size.pixels()).map(|i| mask[from(i)]).collect();
+            for masked in [true, false] {
+                let (now, before) = (masked.then_some(&mask[..]), masked.then_some(&mask_before[..]));
+                let found = ImageInput::turned(size, &rgb, now, |_| turns, &with).unwrap();
+                let expected = ImageInput::new(turned, &rgb_before, before, &with).unwrap();
+                assert_eq!(found.values, expected.values, "{turns:?}");
+                for i in 0..turned.pixels() {
+                    let pixel = |i: usize, size: ImageSize| Pixel {
+                        u: (i % size.width) as u32,
+                        v: (i / size.width) as u32,
+                    };
+                    assert_eq!(
+                        found.letterbox.network_index(pixel(from(i), size)),
+                        expected.letterbox.network_index(pixel(i, turned)),
+                    );
+                }
+            }
+        }
+        assert_eq!([Turns::new(-1), Turns::new(5), Turns::new(6)], [Turns::Three, Turns::One, Turns::Two]);
     }
 
     #[test]

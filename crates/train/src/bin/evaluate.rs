@@ -70,6 +70,9 @@ struct Args {
     /// the object.
     #[arg(long, value_name = "DEG", default_value_t = 0.0, allow_negative_numbers = true)]
     beside: f32,
+    /// Tell the network which way is up, which a robot knows of its cameras.
+    #[arg(long)]
+    up: bool,
     /// Root of the randomness.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -94,6 +97,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         clearance: !args.no_clearance,
         anywhere: args.anywhere,
         held: Held { roll: args.roll, beside: args.beside },
+        up: args.up,
         ..EvaluateConfig::new(objects(args)?, args.episodes, Seed(args.seed))
     };
     for (flag, found, most) in [("--roll", args.roll, 180.0), ("--beside", args.beside, 60.0)] {

@@ -10,6 +10,8 @@ use where2act_sim::Mode;
 use where2act_sim::collect::ScenePrep;
 use where2act_sim::sampling::{Candidate, Sampler};
 
+use super::EvaluateConfig;
+
 /// Who tries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -61,6 +63,8 @@ pub(crate) struct Wanted {
     pub(crate) clearance: bool,
     /// Anywhere in the view, which comes without a mask, and not only at pixels of movable parts.
     pub(crate) anywhere: bool,
+    /// As a network that is told which way is up.
+    pub(crate) up: bool,
 }
 
 /// The network's best proposals, best first, for each of its primitives. There may be fewer, or none, because hands have
@@ -69,13 +73,14 @@ pub(crate) fn proposals(
     predictor: &Predictor,
     prep: &ScenePrep,
     sampler: &Sampler<'_>,
-    Wanted { count, clearance, anywhere }: Wanted,
+    Wanted { count, clearance, anywhere, up }: Wanted,
     seed: Seed,
 ) -> Result<Vec<Vec<Option<Candidate>>>, Error> {
     let movable = || prep.view.link.iter().map(|&link| link > 1).collect();
     let options = Options {
         top_k: count,
         clearance,
+        up: up.then(|| up_in_camera(prep)),
         seed,
         region: (!anywhere).then(movable),
         network_from_metres: Some(1.0),
@@ -87,6 +92,10 @@ pub(crate) fn proposals(
     let candidate = |p: &Proposal| sampler.at(p.pixel, in_world(p.approach), in_world(p.forward));
     let of_primitives = prediction.primitives.iter();
     Ok(of_primitives.map(|of| of.proposals.iter().map(candidate).collect()).collect())
+}
+
+fn up_in_camera(prep: &ScenePrep) -> Vector3<f32> {
+    prep.view.camera.camera_from_world() * Vector3::z()
 }
 
 /// What the network sees: without a mask if it is not told what is the object.
@@ -103,13 +112,14 @@ pub(super) fn scores(
     predictor: &Predictor,
     prep: &ScenePrep,
     trials: &[Trial],
-    anywhere: bool,
+    config: &EvaluateConfig,
     seed: Seed,
 ) -> Result<Vec<f32>, Error> {
-    let options =
-        Options { seed: seed.child("score", 0), network_from_metres: Some(1.0), ..Options::default() };
+    let up = config.up.then(|| up_in_camera(prep));
+    let seed = seed.child("score", 0);
+    let options = Options { up, seed, network_from_metres: Some(1.0), ..Options::default() };
     let hands: Vec<(Primitive, Grasp)> = trials.iter().map(|t| (t.primitive, t.grasp_in_camera)).collect();
-    let scores = predictor.score(&observation(prep, anywhere), &hands, &options)?;
+    let scores = predictor.score(&observation(prep, config.anywhere), &hands, &options)?;
     Ok(scores.into_iter().map(|score| score.unwrap_or(0.0)).collect())
 }
 
@@ -204,7 +214,7 @@ mod tests {
         let found = |prep: &ScenePrep| {
             let sampler = Sampler::new(&prep.settled, &prep.view).unwrap();
             let wanted = |anywhere| {
-                let wanted = Wanted { count: 5, clearance: false, anywhere };
+                let wanted = Wanted { count: 5, clearance: false, anywhere, up: false };
                 let found = proposals(&predictor, prep, &sampler, wanted, Seed(1)).unwrap();
                 found.into_iter().flatten().collect::<Vec<_>>()
             };

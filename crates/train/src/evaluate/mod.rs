@@ -55,6 +55,9 @@ pub struct EvaluateConfig {
     /// How cameras are held: straight at the object and upright, as published, if nothing is said.
     #[serde(default, skip_serializing_if = "Held::straight")]
     pub held: Held,
+    /// Whether the network is told which way is up, as a robot can tell.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub up: bool,
 }
 
 impl EvaluateConfig {
@@ -72,6 +75,7 @@ impl EvaluateConfig {
             clearance: true,
             anywhere: false,
             held: Held::default(),
+            up: false,
         }
     }
 
@@ -225,7 +229,8 @@ impl Judge<'_> {
         let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(judged(results)) };
         // All there are, one at each candidate, to draw from.
         let count = config.proposals.max(Options::default().candidates);
-        let wanted = Wanted { count, clearance: config.clearance, anywhere: config.anywhere };
+        let EvaluateConfig { clearance, anywhere, up, .. } = *config;
+        let wanted = Wanted { count, clearance, anywhere, up };
         let proposals = proposals(predictor, prep, &sampler, wanted, seed)
             .map_err(|source| EvaluateError::Predict { scene: index, source })?;
         let mut random: Vec<Trial> = Vec::new();
@@ -235,7 +240,7 @@ impl Judge<'_> {
             }
             random.extend(self.primitive(prep, &sampler, primitive, own, result));
         }
-        let scores = contestants::scores(predictor, prep, &random, config.anywhere, seed)
+        let scores = contestants::scores(predictor, prep, &random, config, seed)
             .map_err(|source| EvaluateError::Predict { scene: index, source })?;
         for (trial, score) in random.iter().zip(scores) {
             let output = predictor.config().output_of(trial.primitive);

@@ -114,8 +114,10 @@ impl Report {
                     String::new()
                 } else {
                     format!(
-                        " Cameras are rolled by {} degrees and look {} degrees beside the object.",
-                        config.held.roll, config.held.beside
+                        " Cameras are rolled by {} degrees and look {} degrees beside the object{}.",
+                        config.held.roll,
+                        config.held.beside,
+                        if config.up { "; the network is told which way is up" } else { "" },
                     )
                 },
                 room =

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::{Parser, ValueEnum};
+use nalgebra::Vector3;
 use where2act_core::{Intrinsics, Pixel, Primitive, Seed};
 use where2act_infer::{Backend, Error, Options};
 use where2act_kernels::Isa;
@@ -64,6 +65,10 @@ pub(crate) struct Args {
     /// --mask or --box, how far beside the axis the object is. Default for masked pictures: what the EXIF block says.
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub(crate) fov: Option<f32>,
+    /// Which way is up, in the frame of a camera that is not held upright, such as one at a wrist: -1,0,0 if the picture's left is
+    /// up. The network then looks at the scan, or by quarter turns at the picture, as if it were upright. Default: 0,-1,0.
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
+    up: Vec<f32>,
     /// Picture whose pixels brighter than half are the object, all of it: everything else is painted white, and networks like
     /// weights/rgb look at the square around the object. Default: what is not transparent, if the input is a cut-out.
     #[arg(long, value_name = "F")]
@@ -177,6 +182,9 @@ impl Args {
         if ![0, 4].contains(&self.rectangle.len()) {
             bail!("--box: expected four numbers LEFT,TOP,WIDTH,HEIGHT, found {}", self.rectangle.len());
         }
+        if ![0, 3].contains(&self.up.len()) {
+            bail!("--up: expected three numbers X,Y,Z, found {}", self.up.len());
+        }
         if ![0, 2].contains(&self.pixel.len()) {
             bail!("--pixel: expected two numbers U,V, found {}", self.pixel.len());
         }
@@ -228,10 +236,16 @@ impl Args {
             min_score: self.min_score,
             pixel: if let [u, v] = *self.pixel.as_slice() { Some(Pixel { u, v }) } else { None },
             clearance: !self.no_clearance,
+            up: self.up(),
             seed: Seed(self.seed),
             network_from_metres: if self.keep_scale { Some(1.0) } else { self.object_scale },
             ..Options::default()
         }
+    }
+
+    /// Which way is up in the camera's frame.
+    fn up(&self) -> Option<Vector3<f32>> {
+        Some(Vector3::from(<[f32; 3]>::try_from(self.up.as_slice()).ok()?))
     }
 
     /// Whether a camera is described.
