@@ -115,17 +115,17 @@ impl DenseMaps<'_> {
     }
 
     fn bilinear(&self, letterbox: &Letterbox, output: usize, x: f32, y: f32) -> f32 {
-        let Letterbox { window: Window { left, top, size }, turns, side, inner, offset, .. } = *letterbox;
-        let place = [f64::from(x - left as f32), f64::from(y - top as f32)];
-        let ([x, y], size) = (turns.turn(place, size), turns.size(size));
+        let Letterbox { source, roll, window: Window { left, top, size }, side, inner, offset } = *letterbox;
+        let [x, y] = roll.turn_back([x.into(), y.into()], source);
         // Positions between the centres of network pixels; only those that show the input count, at its edge too.
-        let along = |t: f64, from: usize, to: usize, offset: usize| {
-            let inside = (t as f32 * to as f32 / from as f32 - 0.5).clamp(0.0, to as f32 - 1.0);
+        let along = |t: f64, start: usize, from: usize, to: usize, offset: usize| {
+            let inside =
+                ((t - start as f64) as f32 * to as f32 / from as f32 - 0.5).clamp(0.0, to as f32 - 1.0);
             let first = inside as usize;
             (offset + first, offset + (first + 1).min(to - 1), inside - first as f32)
         };
-        let (left, right, fx) = along(x, size.width, inner.width, offset.0);
-        let (top, bottom, fy) = along(y, size.height, inner.height, offset.1);
+        let (left, right, fx) = along(x, left, size.width, inner.width, offset.0);
+        let (top, bottom, fy) = along(y, top, size.height, inner.height, offset.1);
         let at = |u: usize, v: usize| self.value(v * side + u, output);
         let upper = at(left, top) * (1.0 - fx) + at(right, top) * fx;
         let lower = at(left, bottom) * (1.0 - fx) + at(right, bottom) * fx;

@@ -1,7 +1,6 @@
 //! The frame in which a network knows directions: that of a camera which looks at the object, as in training.
 
 use std::borrow::Cow;
-use std::f32::consts::FRAC_PI_2;
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::is_measured;
@@ -28,13 +27,8 @@ pub(crate) fn roll(camera_from_gaze: &Rotation3<f32>, up: Option<Vector3<f32>>) 
     up.filter(|up| up.xy().norm() > STEEP).map_or(0.0, |up| up.x.atan2(-up.y))
 }
 
-/// [`roll`] in quarter turns, which pictures can be turned by, and the rotation by them.
-pub(crate) fn quarters(camera_from_gaze: &Rotation3<f32>, up: Option<Vector3<f32>>) -> (i32, Rotation3<f32>) {
-    let quarters = (roll(camera_from_gaze, up) / FRAC_PI_2).round();
-    (quarters as i32, about_axis(quarters * FRAC_PI_2))
-}
-
-fn about_axis(angle: f32) -> Rotation3<f32> {
+/// The rotation of a [`roll`].
+pub(crate) fn about_axis(angle: f32) -> Rotation3<f32> {
     Rotation3::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
@@ -96,17 +90,10 @@ mod tests {
                 let above = camera_from_gaze.inverse() * up;
                 assert!(above.x.abs() < 1e-6 && above.y < 0.0, "{above}");
                 assert!((camera_from_gaze * seen[1] - points[1]).norm() < 1e-6);
-                let (quarters, turn) = quarters(&gaze(&middle), Some(up));
-                let above = turn.inverse() * gaze(&middle).inverse() * up;
-                assert!(
-                    (-2..=2).contains(&quarters) && above.x.abs() <= -above.y + 1e-6,
-                    "{quarters}: {above}"
-                );
             }
         }
         let down = [Vector3::new(0.05, 0.1, -1.0), Vector3::zeros(), Vector3::repeat(f32::NAN)];
         assert!(down.iter().all(|up| roll(&Rotation3::identity(), Some(*up)) == 0.0));
-        assert_eq!(quarters(&Rotation3::identity(), Some(Vector3::x())).0, 1);
     }
 
     #[test]

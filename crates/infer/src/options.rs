@@ -34,8 +34,8 @@ pub struct Options {
     /// Default: true.
     pub clearance: bool,
     /// Which way is up, in the camera's frame, of any length: what an IMU or the arm's pose tells of a camera that is not held
-    /// upright, such as one at a wrist. Networks learnt from upright cameras, so scans are turned by as much, pictures by quarter
-    /// turns, and what is said of them is turned back. Heeded unless the camera looks straight up or down.
+    /// upright, such as one at a wrist. Networks learnt from upright cameras, so they see scans and pictures turned by as much, and
+    /// what they say of them is turned back. Heeded unless the camera looks straight up or down.
     /// Default: `None`, an upright camera.
     pub up: Option<Vector3<f32>>,
     /// Root of the randomness of the proposals. The same seed and input give the same bits.

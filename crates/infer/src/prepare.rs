@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use nalgebra::{Point3, Rotation3, Vector3};
 use where2act_core::{ImageSize, Observation, Pixel, Primitive, is_measured};
 use where2act_model::preprocess::{
-    CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError, Turns, Window,
+    CloudInput, CloudScale, ImageInput, Letterbox, PreprocessError, Roll, Window,
 };
 use where2act_model::{Modality, ModelConfig};
 
@@ -15,7 +15,7 @@ use crate::backbone::NetworkInput;
 use crate::clearance::{GRIP_REACH, REACH, Room};
 use crate::decode::Places;
 use crate::dense::{Geometry, on_object, seen_point};
-use crate::gaze::{gaze, gaze_at, quarters};
+use crate::gaze::{about_axis, gaze, gaze_at, roll};
 use crate::nearest::NearestIndex;
 use crate::predictor::{Place, reads};
 use crate::surface::{DepthView, normal};
@@ -95,15 +95,13 @@ impl<'a> Prepared<'a> {
         let Observation::Image { size, rgb: Some(rgb), mask, intrinsics, .. } = observation else {
             return Err(Error::invalid("observation", "a picture", "none"));
         };
-        let mut camera_from_gaze = Rotation3::identity();
-        let upright = |window: &Window| {
-            camera_from_gaze = intrinsics.map_or(camera_from_gaze, |camera| gaze(&window.middle(&camera)));
-            let (quarters, turn) = quarters(&camera_from_gaze, options.up);
-            camera_from_gaze *= turn;
-            Turns::new(-quarters)
-        };
+        let window = Window::shown(*size, mask.as_deref(), &config.preprocessing);
+        let camera_from_gaze =
+            intrinsics.map_or_else(Rotation3::identity, |camera| gaze(&window.middle(&camera)));
+        let roll = roll(&camera_from_gaze, options.up);
+        let camera_from_gaze = camera_from_gaze * about_axis(roll);
         let ImageInput { values, letterbox } =
-            ImageInput::turned(*size, rgb, mask.as_deref(), upright, &config.preprocessing)
+            ImageInput::rolled(*size, rgb, mask.as_deref(), Roll::new(roll), &config.preprocessing)
                 .map_err(unusable)?;
         if let Some(pixel) = options.pixel.filter(|pixel| !on_object(observation, *pixel)) {
             return Err(Error::invalid("pixel", "one of the object", format!("{},{}", pixel.u, pixel.v)));

@@ -242,7 +242,7 @@ mod tests {
     use burn::tensor::Device;
     use nalgebra::Rotation3;
     use where2act_core::Seed;
-    use where2act_model::preprocess::Turns;
+    use where2act_model::preprocess::Roll;
     use where2act_model::{Modality, Network, Weights};
 
     use super::*;
@@ -327,7 +327,7 @@ mod tests {
     #[test]
     fn a_proposal_s_hand_is_scored_as_the_proposal_was_and_as_its_mirror_image() {
         for (i, (predictor, view)) in cases().into_iter().enumerate() {
-            let up = (i % 3 == 1).then(|| Vector3::new(0.9, 0.2, -0.3));
+            let up = (i % 3 == 1).then(|| Vector3::new(0.9, 0.0, -0.3));
             let options = Options { up, ..scaled(if i % 2 == 0 { 1.0 } else { 0.7 }) };
             let (hands, expected): (Vec<_>, Vec<f32>) =
                 proposed(&predictor, &view, &options).into_iter().unzip();
@@ -424,12 +424,13 @@ mod tests {
         let upright = step_beside();
         let Observation::Image { size, rgb, depth, intrinsics, mask } = &upright else { unreachable!() };
         for quarters in 1..4 {
-            let turns = Turns::new(quarters);
-            let turned = turns.size(*size);
-            let place = |[x, y]: [f64; 2]| turns.turn([x, y], *size);
+            let angle = quarters as f32 * std::f32::consts::FRAC_PI_2;
+            let roll = Roll::new(-angle);
+            let turned = roll.size(*size);
+            let place = |[x, y]: [f64; 2]| roll.turn_back([x, y], *size);
             let before = |i: usize| {
                 let at = [(i % turned.width) as f64 + 0.5, (i / turned.width) as f64 + 0.5];
-                let [x, y] = turns.back().turn(at, turned);
+                let [x, y] = roll.turn(at, *size);
                 size.index(Pixel { u: x as u32, v: y as u32 })
             };
             let order: Vec<usize> = (0..turned.pixels()).map(before).collect();
@@ -443,9 +444,9 @@ mod tests {
                 intrinsics: Some(Intrinsics { fx, fy, cx, cy }),
                 mask: mask.as_ref().map(|mask| order.iter().map(|&i| mask[i]).collect()),
             };
-            let side_from_upright =
-                Rotation3::from_axis_angle(&Vector3::z_axis(), quarters as f32 * std::f32::consts::FRAC_PI_2);
-            let up = Some(side_from_upright * Vector3::new(0.1, -0.8, -0.6));
+            let side_from_upright = Rotation3::from_axis_angle(&Vector3::z_axis(), angle);
+            // Level with the camera, which turning to the object then leaves at the top.
+            let up = Some(side_from_upright * Vector3::new(0.0, -0.8, 0.0));
             let predict = |view: &Observation, up| {
                 let options = Options { up, clearance: false, ..scaled(1.0) };
                 predictor.predict(view, &options).unwrap().primitives
@@ -457,11 +458,12 @@ mod tests {
                     let Pixel { u, v } = expected.pixel;
                     let [x, y] = place([f64::from(u) + 0.5, f64::from(v) + 0.5]);
                     assert_eq!(found.pixel, Pixel { u: x as u32, v: y as u32 });
-                    assert!((found.score - expected.score).abs() < 1e-5);
+                    // Sines and cosines of quarter turns are not quite 0 and 1.
+                    assert!((found.score - expected.score).abs() < 1e-3);
                     let (found, expected) = (found.grasp().unwrap(), expected.grasp().unwrap());
                     assert!((side_from_upright * expected.point - found.point).norm() < 1e-4);
                     let off = (side_from_upright * expected.rotation).matrix() - found.rotation.matrix();
-                    assert!(off.amax() < 1e-4, "{off}");
+                    assert!(off.amax() < 1e-3, "{off}");
                 }
             }
         }

@@ -8,6 +8,9 @@ use super::PreprocessError;
 use super::resize::resize;
 use crate::config::Preprocessing;
 
+/// Places along a pixel of the network, at most, that are looked up in a picture that is turned back.
+const MOST_PLACES: usize = 6;
+
 /// Part of a picture: the network sees nothing beside it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
@@ -26,6 +29,15 @@ impl Window {
         Self { left: 0, top: 0, size }
     }
 
+    /// What a network sees of an upright picture, whose mask is of its size.
+    #[must_use]
+    pub fn shown(picture: ImageSize, mask: Option<&[bool]>, with: &Preprocessing) -> Self {
+        match (mask, with.close_up) {
+            (Some(mask), Some(margin)) => Self::around(mask, picture, margin),
+            _ => Self::whole(picture),
+        }
+    }
+
     /// The square around a mask, `margin` times as large as the mask's larger extent, as far as the picture reaches. Up to a
     /// thousandth of the mask may lie beside it on each side: specks. All of the picture if nothing is inside the mask.
     #[must_use]
@@ -36,7 +48,25 @@ impl Window {
             let inside = columns.iter_mut().zip(row).filter(|(_, inside)| **inside);
             rows.push(inside.map(|(column, _)| *column += 1).count());
         }
-        let (Some((left, right)), Some((top, bottom))) = (span(&columns), span(&rows)) else {
+        Self::around_counts(&columns, &rows, picture, margin)
+    }
+
+    /// The same in a picture that is turned back.
+    fn around_rolled(mask: &[bool], picture: ImageSize, roll: Roll, margin: f32) -> Self {
+        let turned = roll.size(picture);
+        let (mut columns, mut rows) = (vec![0; turned.width], vec![0; turned.height]);
+        for at in (0..picture.pixels()).filter(|&at| mask[at]) {
+            let place = [(at % picture.width) as f64 + 0.5, (at / picture.width) as f64 + 0.5];
+            let [x, y] = roll.turn_back(place, picture);
+            columns[(x.max(0.0) as usize).min(turned.width - 1)] += 1;
+            rows[(y.max(0.0) as usize).min(turned.height - 1)] += 1;
+        }
+        Self::around_counts(&columns, &rows, turned, margin)
+    }
+
+    /// Around what has so many pixels in each column and row.
+    fn around_counts(columns: &[usize], rows: &[usize], picture: ImageSize, margin: f32) -> Self {
+        let (Some((left, right)), Some((top, bottom))) = (span(columns), span(rows)) else {
             return Self::whole(picture);
         };
         let extent = (right - left).max(bottom - top) as f64;
@@ -58,78 +88,59 @@ impl Window {
         camera.back_project(self.left as f32 + 0.5 * width as f32, self.top as f32 + 0.5 * height as f32, 1.0)
     }
 
-    /// The picture's pixels in the window, row by row of what is seen when it is turned, as indices of its buffers.
-    fn indices(self, picture: ImageSize, turns: Turns) -> impl Iterator<Item = usize> {
+    /// The picture's pixels in the window, row by row, as indices of its buffers.
+    fn indices(self, picture: ImageSize) -> impl Iterator<Item = usize> {
         let Self { left, top, size } = self;
-        let (right, bottom, down) = (left + size.width - 1, top + size.height - 1, picture.width as isize);
-        let (first, across, along) = match turns {
-            Turns::None => ((left, top), 1, down),
-            Turns::One => ((left, bottom), -down, 1),
-            Turns::Two => ((right, bottom), -1, -down),
-            Turns::Three => ((right, top), down, -1),
-        };
-        let ImageSize { width, height } = turns.size(size);
-        let first = (first.1 * picture.width + first.0) as isize;
-        (0..height as isize)
-            .flat_map(move |v| (0..width as isize).map(move |u| (first + u * across + v * along) as usize))
+        (top..top + size.height)
+            .flat_map(move |row| (left..left + size.width).map(move |u| row * picture.width + u))
     }
 }
 
-/// Quarter turns of a picture, clockwise.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Turns {
-    /// As it is.
-    #[default]
-    None,
-    /// What was at the left is at the top.
-    One,
-    /// On its head.
-    Two,
-    /// What was at the right is at the top.
-    Three,
+/// How far the camera of a picture is rolled about its axis, clockwise for who stands behind it. Such a picture is turned back by as
+/// much before a network sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Roll {
+    sin: f64,
+    cos: f64,
 }
 
-impl Turns {
-    /// So many, or so many less than four times any number.
+impl Roll {
+    /// Of a camera that is held upright.
+    pub const NONE: Self = Self { sin: 0.0, cos: 1.0 };
+
+    /// By an angle, radians.
     #[must_use]
-    pub const fn new(count: i32) -> Self {
-        match count.rem_euclid(4) {
-            0 => Self::None,
-            1 => Self::One,
-            2 => Self::Two,
-            _ => Self::Three,
-        }
+    pub fn new(angle: f32) -> Self {
+        let (sin, cos) = f64::from(angle).sin_cos();
+        Self { sin, cos }
     }
 
-    /// Size of a turned picture.
+    /// Size of a picture that is turned back: all of it fits.
     #[must_use]
-    pub const fn size(self, size: ImageSize) -> ImageSize {
-        match self {
-            Self::None | Self::Two => size,
-            Self::One | Self::Three => ImageSize { width: size.height, height: size.width },
-        }
-    }
-
-    /// Where a position of a picture of this size is when it is turned.
-    #[must_use]
-    pub fn turn(self, [x, y]: [f64; 2], size: ImageSize) -> [f64; 2] {
+    pub fn size(self, size: ImageSize) -> ImageSize {
+        let [sin, cos] = [self.sin, self.cos].map(f64::abs);
         let (width, height) = (size.width as f64, size.height as f64);
-        match self {
-            Self::None => [x, y],
-            Self::One => [height - y, x],
-            Self::Two => [width - x, height - y],
-            Self::Three => [y, width - x],
-        }
+        let length = |x: f64| (x.round() as usize).max(1);
+        ImageSize { width: length(width * cos + height * sin), height: length(width * sin + height * cos) }
     }
 
-    /// As many the other way round.
+    /// Where a position of a picture of this size is when it is turned back.
     #[must_use]
-    pub const fn back(self) -> Self {
-        match self {
-            Self::One => Self::Three,
-            Self::Three => Self::One,
-            same => same,
-        }
+    pub fn turn_back(self, place: [f64; 2], size: ImageSize) -> [f64; 2] {
+        Self { sin: -self.sin, cos: self.cos }.about_middles(place, size, self.size(size))
+    }
+
+    /// Where a position of the picture that was turned back is in the picture of this size.
+    #[must_use]
+    pub fn turn(self, place: [f64; 2], size: ImageSize) -> [f64; 2] {
+        self.about_middles(place, self.size(size), size)
+    }
+
+    fn about_middles(self, [x, y]: [f64; 2], from: ImageSize, to: ImageSize) -> [f64; 2] {
+        let middle = |length: usize| 0.5 * length as f64;
+        let (x, y) = (x - middle(from.width), y - middle(from.height));
+        let Self { sin, cos } = self;
+        [middle(to.width) + x * cos - y * sin, middle(to.height) + x * sin + y * cos]
     }
 }
 
@@ -149,18 +160,18 @@ fn span(counts: &[usize]) -> Option<(usize, usize)> {
     Some((first, last + 1))
 }
 
-/// How a picture, or a window of it, lies in the network's square: turned, scaled to fit, centred, bars on two sides.
+/// How a picture, or a window of it, lies in the network's square: turned back, scaled to fit, centred, bars on two sides.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Letterbox {
     /// Size of the picture.
     pub source: ImageSize,
-    /// What of it is shown.
+    /// How far its camera is rolled.
+    pub roll: Roll,
+    /// What is shown of the picture that is turned back.
     pub window: Window,
-    /// How that is turned.
-    pub turns: Turns,
     /// Side of the square.
     pub side: usize,
-    /// Size of the turned window inside the square.
+    /// Size of the window inside the square.
     pub inner: ImageSize,
     /// Column and row of the square where the window begins.
     pub offset: (usize, usize),
@@ -172,17 +183,17 @@ impl Letterbox {
     /// # Errors
     /// [`PreprocessError::EmptyImage`].
     pub fn new(source: ImageSize, side: usize) -> Result<Self, PreprocessError> {
-        Self::of_window(source, Window::whole(source), Turns::None, side)
+        Self::of_window(source, Roll::NONE, Window::whole(source), side)
     }
 
-    /// The same of a window inside the picture, turned.
+    /// The same of a window inside the picture that is turned back.
     fn of_window(
         source: ImageSize,
+        roll: Roll,
         window: Window,
-        turns: Turns,
         side: usize,
     ) -> Result<Self, PreprocessError> {
-        let shown = turns.size(window.size);
+        let shown = window.size;
         if source.pixels() == 0 || shown.pixels() == 0 || side == 0 {
             return Err(PreprocessError::EmptyImage);
         }
@@ -191,8 +202,8 @@ impl Letterbox {
         let inner = ImageSize { width: fit(shown.width), height: fit(shown.height) };
         Ok(Self {
             source,
+            roll,
             window,
-            turns,
             side,
             inner,
             offset: ((side - inner.width) / 2, (side - inner.height) / 2),
@@ -203,32 +214,32 @@ impl Letterbox {
     #[must_use]
     pub fn to_network(&self, pixel: Pixel) -> Pixel {
         let Window { left, top, size } = self.window;
-        let centre = [f64::from(pixel.u) + 0.5 - left as f64, f64::from(pixel.v) + 0.5 - top as f64];
-        let ([x, y], from) = (self.turns.turn(centre, size), self.turns.size(size));
-        let along = |x: f64, from: usize, to: usize, offset: usize| {
-            let inside = (x * to as f64 / from as f64).max(0.0) as usize;
+        let centre = [f64::from(pixel.u) + 0.5, f64::from(pixel.v) + 0.5];
+        let [x, y] = self.roll.turn_back(centre, self.source);
+        let along = |x: f64, start: usize, from: usize, to: usize, offset: usize| {
+            let inside = ((x - start as f64) * to as f64 / from as f64).max(0.0) as usize;
             (offset + inside.min(to - 1)) as u32
         };
         Pixel {
-            u: along(x, from.width, self.inner.width, self.offset.0),
-            v: along(y, from.height, self.inner.height, self.offset.1),
+            u: along(x, left, size.width, self.inner.width, self.offset.0),
+            v: along(y, top, size.height, self.inner.height, self.offset.1),
         }
     }
 
-    /// The pixel of the picture in the middle of a pixel of the square; `None` on the bars.
+    /// The pixel of the picture in the middle of a pixel of the square; `None` on the bars, and beside a picture that is turned back.
     #[must_use]
     pub fn to_source(&self, pixel: Pixel) -> Option<Pixel> {
-        let Window { left, top, size } = self.window;
-        let turned = self.turns.size(size);
-        let along = |p: u32, from: usize, to: usize, offset: usize| {
+        let along = |p: u32, start: usize, from: usize, to: usize, offset: usize| {
             let inside = (p as usize).checked_sub(offset).filter(|i| *i < to)?;
-            Some((inside as f64 + 0.5) * from as f64 / to as f64)
+            Some(start as f64 + (inside as f64 + 0.5) * from as f64 / to as f64)
         };
-        let x = along(pixel.u, turned.width, self.inner.width, self.offset.0)?;
-        let y = along(pixel.v, turned.height, self.inner.height, self.offset.1)?;
-        let [x, y] = self.turns.back().turn([x, y], turned);
-        let inside = |x: f64, start: usize, length: usize| (start + (x as usize).min(length - 1)) as u32;
-        Some(Pixel { u: inside(x, left, size.width), v: inside(y, top, size.height) })
+        let Window { left, top, size } = self.window;
+        let x = along(pixel.u, left, size.width, self.inner.width, self.offset.0)?;
+        let y = along(pixel.v, top, size.height, self.inner.height, self.offset.1)?;
+        let [x, y] = self.roll.turn([x, y], self.source);
+        let ImageSize { width, height } = self.source;
+        let inside = x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64;
+        inside.then_some(Pixel { u: x as u32, v: y as u32 })
     }
 
     /// Row-major index in the square of [`Self::to_network`]: what queries of the U-Net's features are made of.
@@ -259,18 +270,18 @@ impl ImageInput {
         mask: Option<&[bool]>,
         with: &Preprocessing,
     ) -> Result<Self, PreprocessError> {
-        Self::turned(size, rgb, mask, |_| Turns::None, with)
+        Self::rolled(size, rgb, mask, Roll::NONE, with)
     }
 
-    /// The same of a picture that is turned before the network sees it: `turns` says how, of the part that is shown.
+    /// The same of a picture whose camera is rolled.
     ///
     /// # Errors
     /// Those of [`Self::new`].
-    pub fn turned(
+    pub fn rolled(
         size: ImageSize,
         rgb: &[[u8; 3]],
         mask: Option<&[bool]>,
-        turns: impl FnOnce(&Window) -> Turns,
+        roll: Roll,
         with: &Preprocessing,
     ) -> Result<Self, PreprocessError> {
         PreprocessError::check_size("the colour buffer", size, rgb.len())?;
@@ -278,11 +289,11 @@ impl ImageInput {
             PreprocessError::check_size("the mask", size, mask.len())?;
         }
         let window = match (mask, with.close_up) {
-            (Some(mask), Some(margin)) => Window::around(mask, size, margin),
-            _ => Window::whole(size),
+            _ if roll == Roll::NONE => Window::shown(size, mask, with),
+            (Some(mask), Some(margin)) => Window::around_rolled(mask, size, roll, margin),
+            _ => Window::whole(roll.size(size)),
         };
-        let turns = turns(&window);
-        let letterbox = Letterbox::of_window(size, window, turns, with.image_side)?;
+        let letterbox = Letterbox::of_window(size, roll, window, with.image_side)?;
         let mask = mask.filter(|_| with.white_background);
         let background = if with.white_background { 1.0 } else { 0.0 };
         let (side, inner) = (with.image_side, letterbox.inner);
@@ -292,8 +303,12 @@ impl ImageInput {
                 Some(mask) if !mask[i] => 1.0,
                 _ => f32::from(rgb[i][channel]) / 255.0,
             };
-            let plane: Vec<f32> = window.indices(size, turns).map(colour).collect();
-            let small = resize(&plane, turns.size(window.size), inner);
+            let small = if roll == Roll::NONE {
+                let plane: Vec<f32> = window.indices(size).map(colour).collect();
+                resize(&plane, window.size, inner)
+            } else {
+                turned_back(&letterbox, background, colour)
+            };
             let normal = |x: f32| (x - mean) / std;
             let start = values.len();
             values.resize(start + side * side, normal(background));
@@ -317,6 +332,42 @@ impl ImageInput {
         let values: Vec<f32> = inputs.iter().flat_map(|input| input.values.iter().copied()).collect();
         Tensor::from_data(TensorData::new(values, [inputs.len(), 3, side, side]), device)
     }
+}
+
+/// Colours of the window of a picture that is turned back, `[inner.height * inner.width]`: the mean of as many places in each pixel as
+/// there are pixels of the picture, up to a few, `background` beside it. `colour` is that of an index of the picture's buffers.
+fn turned_back(letterbox: &Letterbox, background: f32, colour: impl Fn(usize) -> f32) -> Vec<f32> {
+    let Letterbox { source, roll, window, inner, .. } = *letterbox;
+    let at = |x: isize, y: isize| {
+        let inside = x >= 0 && y >= 0 && (x as usize) < source.width && (y as usize) < source.height;
+        if inside { colour(y as usize * source.width + x as usize) } else { background }
+    };
+    let between = |[x, y]: [f64; 2]| {
+        let (x, y) = (x - 0.5, y - 0.5);
+        let (left, top) = (x.floor(), y.floor());
+        let (right, down) = ((x - left) as f32, (y - top) as f32);
+        let row = |y: isize| at(left as isize, y) * (1.0 - right) + at(left as isize + 1, y) * right;
+        row(top as isize) * (1.0 - down) + row(top as isize + 1) * down
+    };
+    let scale = window.size.width as f64 / inner.width as f64;
+    let places = (scale.ceil() as usize).clamp(1, MOST_PLACES);
+    let within = |n: usize| (n as f64 + 0.5) / places as f64;
+    let along = |i: usize, n: usize, start: usize, from: usize, to: usize| {
+        start as f64 + (i as f64 + within(n)) * from as f64 / to as f64
+    };
+    (0..inner.height * inner.width)
+        .map(|i| {
+            let (u, v) = (i % inner.width, i / inner.width);
+            let place = |n: usize| {
+                [
+                    along(u, n % places, window.left, window.size.width, inner.width),
+                    along(v, n / places, window.top, window.size.height, inner.height),
+                ]
+            };
+            let sum: f32 = (0..places * places).map(|n| between(roll.turn(place(n), source))).sum();
+            sum / (places * places) as f32
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -354,7 +405,6 @@ mod tests {
         #[test]
         fn a_window_holds_its_mask_in_the_middle_and_every_pixel_of_it_comes_back(
             w in 1usize..300, h in 1usize..300, corners in proptest::array::uniform4(0.0f32..1.0), margin in 1.0f32..3.0,
-            quarters in 0..4,
         ) {
             let size = ImageSize { width: w, height: h };
             let at = |share: f32, length: usize| (share * length as f32) as usize;
@@ -376,7 +426,7 @@ mod tests {
                     prop_assert!((first - start).abs_diff(end - last) <= 2, "{start} {first} {last} {end}");
                 }
             }
-            let letterbox = Letterbox::of_window(size, window, Turns::new(quarters), 64).unwrap();
+            let letterbox = Letterbox::of_window(size, Roll::NONE, window, 64).unwrap();
             let off = 64.0 / window.size.width.max(window.size.height) as f32;
             for (u, v) in [(0, 32), (32, 0), (32, 32), (63, 32), (32, 63)] {
                 let Some(source) = letterbox.to_source(Pixel { u, v }) else { continue };
@@ -421,40 +471,73 @@ mod tests {
         assert_eq!(whole(Some(&[false; 6300])), Letterbox::new(size, 32).unwrap());
     }
 
+    proptest! {
+        #[test]
+        fn a_rolled_picture_s_mask_is_in_the_middle_of_its_window_and_every_pixel_of_it_comes_back(
+            w in 1usize..200, h in 1usize..200, corners in proptest::array::uniform4(0.0f32..1.0), angle in -4.0f32..4.0,
+        ) {
+            let size = ImageSize { width: w, height: h };
+            let at = |share: f32, length: usize| (share * length as f32) as usize;
+            let [a, b, c, d] = corners;
+            let rectangle = [at(a.min(b), w), at(c.min(d), h), at(a.max(b), w) + 1, at(c.max(d), h) + 1];
+            let (rgb, mask) = masked(size, rectangle);
+            let with = Preprocessing { image_side: 64, close_up: Some(1.5), ..Preprocessing::default() };
+            let roll = Roll::new(angle);
+            let letterbox = ImageInput::rolled(size, &rgb, Some(&mask), roll, &with).unwrap().letterbox;
+            let turned = roll.size(size);
+            let Window { left, top, size: shown } = letterbox.window;
+            prop_assert!(left + shown.width <= turned.width && top + shown.height <= turned.height);
+            let off = 1.0 + 2.0 * 64.0 / shown.width.max(shown.height) as f32;
+            for (u, v) in [(0, 32), (32, 0), (32, 32), (63, 32), (32, 63), (20, 40)] {
+                let Some(source) = letterbox.to_source(Pixel { u, v }) else { continue };
+                prop_assert!((source.u as usize) < w && (source.v as usize) < h);
+                let back = letterbox.to_network(source);
+                prop_assert!((back.u as f32 - u as f32).abs() <= off && (back.v as f32 - v as f32).abs() <= off);
+            }
+            for pixel in [Pixel { u: 0, v: 0 }, Pixel { u: w as u32 - 1, v: h as u32 - 1 }] {
+                prop_assert!(letterbox.network_index(pixel) < 64 * 64);
+                let place = [f64::from(pixel.u), f64::from(pixel.v)];
+                let [x, y] = roll.turn(roll.turn_back(place, size), size);
+                prop_assert!((x - place[0]).abs() < 1e-9 && (y - place[1]).abs() < 1e-9);
+            }
+        }
+    }
+
     #[test]
-    fn a_picture_is_turned_as_if_somebody_had_turned_it_before() {
-        let size = ImageSize { width: 50, height: 30 };
-        let (rgb, mask) = masked(size, [10, 6, 31, 17]);
-        let with = Preprocessing { image_side: 32, close_up: Some(1.2), ..Preprocessing::default() };
-        for quarters in 0..4 {
-            let turns = Turns::new(quarters);
-            let turned = turns.size(size);
+    fn a_picture_is_turned_back_as_if_somebody_had_done_it_before() {
+        // As many pixels as the network has, so that none is interpolated.
+        let size = ImageSize { width: 60, height: 44 };
+        let (rgb, mask) = masked(size, [10, 6, 30, 26]);
+        let with = Preprocessing { image_side: 32, close_up: Some(1.6), ..Preprocessing::default() };
+        for quarters in 1..4 {
+            let roll = Roll::new(quarters as f32 * std::f32::consts::FRAC_PI_2);
+            let turned = roll.size(size);
             // Where a pixel of the turned picture was.
             let from = |i: usize| {
                 let place = [(i % turned.width) as f64 + 0.5, (i / turned.width) as f64 + 0.5];
-                let [x, y] = turns.back().turn(place, turned);
+                let [x, y] = roll.turn(place, size);
                 size.index(Pixel { u: x as u32, v: y as u32 })
             };
             let rgb_before: Vec<_> = (0..size.pixels()).map(|i| rgb[from(i)]).collect();
             let mask_before: Vec<_> = (0..size.pixels()).map(|i| mask[from(i)]).collect();
-            for masked in [true, false] {
-                let (now, before) = (masked.then_some(&mask[..]), masked.then_some(&mask_before[..]));
-                let found = ImageInput::turned(size, &rgb, now, |_| turns, &with).unwrap();
-                let expected = ImageInput::new(turned, &rgb_before, before, &with).unwrap();
-                assert_eq!(found.values, expected.values, "{turns:?}");
-                for i in 0..turned.pixels() {
-                    let pixel = |i: usize, size: ImageSize| Pixel {
-                        u: (i % size.width) as u32,
-                        v: (i / size.width) as u32,
-                    };
-                    assert_eq!(
-                        found.letterbox.network_index(pixel(from(i), size)),
-                        expected.letterbox.network_index(pixel(i, turned)),
-                    );
-                }
+            let found = ImageInput::rolled(size, &rgb, Some(&mask), roll, &with).unwrap();
+            let expected = ImageInput::new(turned, &rgb_before, Some(&mask_before), &with).unwrap();
+            assert_eq!(found.letterbox.window, expected.letterbox.window, "{quarters}");
+            for (found, expected) in found.values.iter().zip(&expected.values) {
+                assert!((found - expected).abs() < 1e-4, "{quarters}: {found} {expected}");
+            }
+            for i in 0..turned.pixels() {
+                let pixel =
+                    |i: usize, of: ImageSize| Pixel { u: (i % of.width) as u32, v: (i / of.width) as u32 };
+                let (found, expected) = (&found.letterbox, &expected.letterbox);
+                assert_eq!(found.to_network(pixel(from(i), size)), expected.to_network(pixel(i, turned)));
             }
         }
-        assert_eq!([Turns::new(-1), Turns::new(5), Turns::new(6)], [Turns::Three, Turns::One, Turns::Two]);
+        // All of a picture fits, with bars where there is none.
+        let whole = ImageInput::rolled(size, &rgb, None, Roll::new(0.6), &with).unwrap();
+        let (corner, middle) = (Pixel { u: 1, v: 1 }, Pixel { u: 16, v: 16 });
+        assert_eq!(whole.letterbox.to_source(corner), None);
+        assert_eq!(whole.letterbox.to_source(middle), Some(Pixel { u: 30, v: 22 }));
     }
 
     #[test]

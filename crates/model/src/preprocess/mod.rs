@@ -5,7 +5,7 @@ mod image;
 mod resize;
 
 pub use cloud::{CloudInput, CloudScale};
-pub use image::{ImageInput, Letterbox, Turns, Window};
+pub use image::{ImageInput, Letterbox, Roll, Window};
 
 use where2act_core::ImageSize;
 

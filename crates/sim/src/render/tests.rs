@@ -267,7 +267,7 @@ fn odd_inputs_do_no_harm() {
             for side in [448, 1, 0] {
                 let camera = Camera { size: ImageSize::square(side), ..front_camera() };
                 assert_eq!(render(&object, &poses(&object), &camera, &look).rgb.len(), side * side);
-                render(&EMPTY, &[], &camera, &look);
+                assert_eq!(render(&EMPTY, &[], &camera, &look).depth.len(), side * side);
             }
         }
     }

@@ -66,7 +66,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
     pub(crate) fov: Option<f32>,
     /// Which way is up, in the frame of a camera that is not held upright, such as one at a wrist: -1,0,0 if the picture's left is
-    /// up. The network then looks at the scan, or by quarter turns at the picture, as if it were upright. Default: 0,-1,0.
+    /// up. The network then looks at the picture or scan as if it were upright. Default: 0,-1,0.
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     up: Vec<f32>,
     /// Picture whose pixels brighter than half are the object, all of it: everything else is painted white, and networks like
