@@ -537,7 +537,8 @@ mod tests {
         let whole = ImageInput::rolled(size, &rgb, None, Roll::new(0.6), &with).unwrap();
         let (corner, middle) = (Pixel { u: 1, v: 1 }, Pixel { u: 16, v: 16 });
         assert_eq!(whole.letterbox.to_source(corner), None);
-        assert_eq!(whole.letterbox.to_source(middle), Some(Pixel { u: 30, v: 22 }));
+        let Pixel { u, v } = whole.letterbox.to_source(middle).unwrap();
+        assert!(u.abs_diff(30) <= 2 && v.abs_diff(22) <= 2, "{u},{v}");
     }
 
     #[test]
