@@ -13,23 +13,20 @@ const OFF_AXIS: f32 = 8.0 * std::f32::consts::PI / 180.0;
 const STEEP: f32 = 0.174;
 
 /// `camera_from_gaze`: the frame of the camera turned by the shortest way so that its axis goes through the middle of the object,
-/// a point in the camera's frame. The camera's own if it looks there.
-pub(crate) fn gaze(middle: &Point3<f32>) -> Rotation3<f32> {
+/// a point in the camera's frame, and then about that axis until `up`, a direction in the camera's frame, is at the top of its
+/// picture; and by how much about the axis, radians. The camera's own if it looks there and is not rolled.
+pub(crate) fn gaze(middle: &Point3<f32>, up: Option<Vector3<f32>>) -> (Rotation3<f32>, f32) {
     let turn = Rotation3::rotation_between(&Vector3::z(), &middle.coords);
-    turn.filter(|turn| turn.angle() > OFF_AXIS).unwrap_or_else(Rotation3::identity)
+    let turn = turn.filter(|turn| turn.angle() > OFF_AXIS).unwrap_or_else(Rotation3::identity);
+    let roll = roll(&turn, up);
+    (turn * Rotation3::from_axis_angle(&Vector3::z_axis(), roll), roll)
 }
 
-/// How far a camera is rolled, radians about its axis, that looks along the z axis of `camera_from_gaze`: turned back by so much it
-/// has `up`, a direction in the camera's frame, at the top of its picture. 0 if nobody says which way is up, and for who looks so
-/// steeply up or down that nothing is at the top.
-pub(crate) fn roll(camera_from_gaze: &Rotation3<f32>, up: Option<Vector3<f32>>) -> f32 {
-    let up = up.map(|up| camera_from_gaze.inverse() * up.normalize());
+/// How far a camera is rolled that looks along the z axis of `camera_from_axis`. 0 if nobody says which way is up, and for who
+/// looks so steeply up or down that nothing is at the top.
+fn roll(camera_from_axis: &Rotation3<f32>, up: Option<Vector3<f32>>) -> f32 {
+    let up = up.map(|up| camera_from_axis.inverse() * up.normalize());
     up.filter(|up| up.xy().norm() > STEEP).map_or(0.0, |up| up.x.atan2(-up.y))
-}
-
-/// The rotation of a [`roll`].
-pub(crate) fn about_axis(angle: f32) -> Rotation3<f32> {
-    Rotation3::from_axis_angle(&Vector3::z_axis(), angle)
 }
 
 /// [`gaze`] at the mean of a scan by a camera that is not rolled, and the scan as it is seen then.
@@ -40,11 +37,7 @@ pub(crate) fn gaze_at(
     let measured = points.iter().filter(|point| is_measured(point));
     let sum = measured.fold(Vector3::zeros(), |sum: Vector3<f64>, point| sum + point.coords.cast());
     // How long it is is of no consequence.
-    let camera_from_gaze = gaze(&Point3::from(sum.normalize().cast()));
-    let camera_from_gaze = match roll(&camera_from_gaze, up) {
-        0.0 => camera_from_gaze,
-        roll => camera_from_gaze * about_axis(roll),
-    };
+    let (camera_from_gaze, _) = gaze(&Point3::from(sum.normalize().cast()), up);
     if camera_from_gaze == Rotation3::identity() {
         return (camera_from_gaze, Cow::Borrowed(points));
     }
@@ -62,14 +55,14 @@ mod tests {
     fn who_looks_beside_an_object_turns_to_it() {
         for middle in [Point3::new(2.0, 0.1, 3.0), Point3::new(-0.3, -0.6, 0.9), Point3::new(0.0, 30.0, 1.0)]
         {
-            let turned = gaze(&middle).inverse() * middle;
+            let turned = gaze(&middle, None).0.inverse() * middle;
             assert!(turned.xy().coords.norm() < 1e-3 && turned.z > 0.0, "{turned}");
-            assert!(gaze(&middle).axis().unwrap().z.abs() < 1e-6);
+            assert!(gaze(&middle, None).0.axis().unwrap().z.abs() < 1e-6);
         }
         for middle in [Point3::new(0.0, 0.0, 2.0), Point3::new(0.1, 0.1, 2.0), Point3::origin()] {
-            assert_eq!(gaze(&middle), Rotation3::identity());
+            assert_eq!(gaze(&middle, None).0, Rotation3::identity());
         }
-        assert_eq!(gaze(&Point3::new(f32::NAN, 0.0, 1.0)), Rotation3::identity());
+        assert_eq!(gaze(&Point3::new(f32::NAN, 0.0, 1.0), None).0, Rotation3::identity());
     }
 
     #[test]
@@ -77,7 +70,8 @@ mod tests {
         let whole = |angle: f32| [-1.0, 0.0, 1.0].map(|turns| angle + turns * std::f32::consts::TAU);
         for degrees in [-170.0f32, -90.0, -30.0, 0.0, 20.0, 90.0, 180.0] {
             // From above: up leans away from who looks.
-            let up = about_axis(degrees.to_radians()) * Vector3::new(0.0, -0.6, -0.8);
+            let up = Rotation3::from_axis_angle(&Vector3::z_axis(), degrees.to_radians())
+                * Vector3::new(0.0, -0.6, -0.8);
             let found = roll(&Rotation3::identity(), Some(up * 7.0));
             assert!(
                 whole(found).iter().any(|f| (f - degrees.to_radians()).abs() < 1e-5),

@@ -15,7 +15,7 @@ use crate::backbone::NetworkInput;
 use crate::clearance::{GRIP_REACH, REACH, Room};
 use crate::decode::Places;
 use crate::dense::{Geometry, on_object, seen_point};
-use crate::gaze::{about_axis, gaze, gaze_at, roll};
+use crate::gaze::{gaze, gaze_at};
 use crate::nearest::NearestIndex;
 use crate::predictor::{Place, reads};
 use crate::surface::{DepthView, normal};
@@ -95,11 +95,12 @@ impl<'a> Prepared<'a> {
         let Observation::Image { size, rgb: Some(rgb), mask, intrinsics, .. } = observation else {
             return Err(Error::invalid("observation", "a picture", "none"));
         };
-        let window = Window::shown(*size, mask.as_deref(), &config.preprocessing);
-        let camera_from_gaze =
-            intrinsics.map_or_else(Rotation3::identity, |camera| gaze(&window.middle(&camera)));
-        let roll = roll(&camera_from_gaze, options.up);
-        let camera_from_gaze = camera_from_gaze * about_axis(roll);
+        // Without a camera nobody knows how far beside its axis the object is.
+        let middle = intrinsics.map_or_else(
+            || Point3::new(0.0, 0.0, 1.0),
+            |camera| Window::shown(*size, mask.as_deref(), &config.preprocessing).middle(&camera),
+        );
+        let (camera_from_gaze, roll) = gaze(&middle, options.up);
         let ImageInput { values, letterbox } =
             ImageInput::rolled(*size, rgb, mask.as_deref(), Roll::new(roll), &config.preprocessing)
                 .map_err(unusable)?;

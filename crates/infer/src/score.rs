@@ -1,7 +1,7 @@
 //! What hands of the caller's own are worth: those of a planner, say, that the arm can reach.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Matrix3, Point3};
 use rayon::prelude::*;
 use where2act_core::{Grasp, ImageSize, Intrinsics, Observation, Orientation6, Pixel, Primitive};
 use where2act_model::preprocess::CloudInput;
@@ -88,7 +88,7 @@ impl Predictor {
             self.scoring.logits(&self.backbone, &self.config, prepared, asked)
         };
         let mirror = mirrored(observation);
-        let up = up.map(|up| Vector3::new(-up.x, up.y, up.z));
+        let up = up.map(|up| mirrored_point(&up.into()).coords);
         let in_mirror_up = Options { up, ..options.clone() };
         let in_mirror: Vec<Asked> = asked.iter().map(|asked| asked.mirrored(observation)).collect();
         let (one, other) =
@@ -240,7 +240,7 @@ fn mirrored_point(point: &Point3<f32>) -> Point3<f32> {
 #[cfg(test)]
 mod tests {
     use burn::tensor::Device;
-    use nalgebra::Rotation3;
+    use nalgebra::{Rotation3, Vector3};
     use where2act_core::Seed;
     use where2act_model::preprocess::Roll;
     use where2act_model::{Modality, Network, Weights};
@@ -371,7 +371,7 @@ mod tests {
 
     #[test]
     fn a_picture_beside_the_middle_is_proposed_for_as_by_a_camera_that_looks_there() {
-        let turn = gaze(&Point3::new((112.0 - 271.0) / 280.0, 0.0, 1.0));
+        let (turn, _) = gaze(&Point3::new((112.0 - 271.0) / 280.0, 0.0, 1.0), None);
         assert!((turn.angle().to_degrees() - 29.6).abs() < 0.1);
         let Observation::Image { size, rgb, intrinsics, mask, .. } = step_beside() else { unreachable!() };
         let predictor = predictor(Modality::Rgb, false, Backend::Fast);
