@@ -2,6 +2,7 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use nalgebra::Point3;
+use rayon::prelude::*;
 use where2act_core::{ImageSize, Intrinsics, Pixel};
 
 use super::PreprocessError;
@@ -297,17 +298,22 @@ impl ImageInput {
         let mask = mask.filter(|_| with.white_background);
         let background = if with.white_background { 1.0 } else { 0.0 };
         let (side, inner) = (with.image_side, letterbox.inner);
+        let colour_at = |i: usize| match mask {
+            Some(mask) if !mask[i] => [1.0; 3],
+            _ => rgb[i].map(|code| f32::from(code) / 255.0),
+        };
+        let turned = (roll != Roll::NONE).then(|| turned_back(&letterbox, background, colour_at));
         let mut values = Vec::with_capacity(3 * side * side);
         for (channel, (mean, std)) in with.image_mean.iter().zip(with.image_std).enumerate() {
             let colour = |i: usize| match mask {
                 Some(mask) if !mask[i] => 1.0,
                 _ => f32::from(rgb[i][channel]) / 255.0,
             };
-            let small = if roll == Roll::NONE {
+            let small = if let Some(turned) = &turned {
+                turned.iter().map(|colour| colour[channel]).collect()
+            } else {
                 let plane: Vec<f32> = window.indices(size).map(colour).collect();
                 resize(&plane, window.size, inner)
-            } else {
-                turned_back(&letterbox, background, colour)
             };
             let normal = |x: f32| (x - mean) / std;
             let start = values.len();
@@ -336,38 +342,42 @@ impl ImageInput {
 
 /// Colours of the window of a picture that is turned back, `[inner.height * inner.width]`: the mean of as many places in each pixel as
 /// there are pixels of the picture, up to a few, `background` beside it. `colour` is that of an index of the picture's buffers.
-fn turned_back(letterbox: &Letterbox, background: f32, colour: impl Fn(usize) -> f32) -> Vec<f32> {
+fn turned_back(
+    letterbox: &Letterbox,
+    background: f32,
+    colour: impl Fn(usize) -> [f32; 3] + Sync,
+) -> Vec<[f32; 3]> {
     let Letterbox { source, roll, window, inner, .. } = *letterbox;
     let at = |x: isize, y: isize| {
         let inside = x >= 0 && y >= 0 && (x as usize) < source.width && (y as usize) < source.height;
-        if inside { colour(y as usize * source.width + x as usize) } else { background }
+        if inside { colour(y as usize * source.width + x as usize) } else { [background; 3] }
     };
-    let between = |[x, y]: [f64; 2]| {
+    let mix = |a: [f32; 3], b: [f32; 3], share: f32| {
+        std::array::from_fn(|channel| a[channel] * (1.0 - share) + b[channel] * share)
+    };
+    let between = |[x, y]: [f64; 2]| -> [f32; 3] {
         let (x, y) = (x - 0.5, y - 0.5);
         let (left, top) = (x.floor(), y.floor());
-        let (right, down) = ((x - left) as f32, (y - top) as f32);
-        let row = |y: isize| at(left as isize, y) * (1.0 - right) + at(left as isize + 1, y) * right;
-        row(top as isize) * (1.0 - down) + row(top as isize + 1) * down
+        let row = |y: isize| mix(at(left as isize, y), at(left as isize + 1, y), (x - left) as f32);
+        mix(row(top as isize), row(top as isize + 1), (y - top) as f32)
     };
     let scale = window.size.width as f64 / inner.width as f64;
     let places = (scale.ceil() as usize).clamp(1, MOST_PLACES);
-    let within = |n: usize| (n as f64 + 0.5) / places as f64;
     let along = |i: usize, n: usize, start: usize, from: usize, to: usize| {
-        start as f64 + (i as f64 + within(n)) * from as f64 / to as f64
+        start as f64 + (i as f64 + (n as f64 + 0.5) / places as f64) * from as f64 / to as f64
     };
-    (0..inner.height * inner.width)
-        .map(|i| {
-            let (u, v) = (i % inner.width, i / inner.width);
-            let place = |n: usize| {
-                [
-                    along(u, n % places, window.left, window.size.width, inner.width),
-                    along(v, n / places, window.top, window.size.height, inner.height),
-                ]
-            };
-            let sum: f32 = (0..places * places).map(|n| between(roll.turn(place(n), source))).sum();
-            sum / (places * places) as f32
-        })
-        .collect()
+    let pixel = |i: usize| {
+        let (u, v) = (i % inner.width, i / inner.width);
+        let mut sum = [0.0; 3];
+        for n in 0..places * places {
+            let x = along(u, n % places, window.left, window.size.width, inner.width);
+            let y = along(v, n / places, window.top, window.size.height, inner.height);
+            let seen = between(roll.turn([x, y], source));
+            sum.iter_mut().zip(seen).for_each(|(sum, seen)| *sum += seen);
+        }
+        sum.map(|sum| sum / (places * places) as f32)
+    };
+    (0..inner.height * inner.width).into_par_iter().with_min_len(inner.width).map(pixel).collect()
 }
 
 #[cfg(test)]
