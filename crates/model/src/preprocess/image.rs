@@ -298,19 +298,21 @@ impl ImageInput {
         let mask = mask.filter(|_| with.white_background);
         let background = if with.white_background { 1.0 } else { 0.0 };
         let (side, inner) = (with.image_side, letterbox.inner);
-        let colour = |i: usize, channel: usize| match mask {
-            Some(mask) if !mask[i] => 1.0,
-            _ => f32::from(rgb[i][channel]) / 255.0,
+        let colour_at = |i: usize| match mask {
+            Some(mask) if !mask[i] => [1.0; 3],
+            _ => rgb[i].map(|code| f32::from(code) / 255.0),
         };
-        let turned = (roll != Roll::NONE).then(|| {
-            turned_back(&letterbox, background, |i| std::array::from_fn(|channel| colour(i, channel)))
-        });
+        let turned = (roll != Roll::NONE).then(|| turned_back(&letterbox, background, colour_at));
         let mut values = Vec::with_capacity(3 * side * side);
         for (channel, (mean, std)) in with.image_mean.iter().zip(with.image_std).enumerate() {
+            let colour = |i: usize| match mask {
+                Some(mask) if !mask[i] => 1.0,
+                _ => f32::from(rgb[i][channel]) / 255.0,
+            };
             let small = if let Some(turned) = &turned {
                 turned.iter().map(|colour| colour[channel]).collect()
             } else {
-                let plane: Vec<f32> = window.indices(size).map(|i| colour(i, channel)).collect();
+                let plane: Vec<f32> = window.indices(size).map(colour).collect();
                 resize(&plane, window.size, inner)
             };
             let normal = |x: f32| (x - mean) / std;
