@@ -3,9 +3,13 @@
 mod cloud;
 mod image;
 mod resize;
+mod roll;
+mod window;
 
 pub use cloud::{CloudInput, CloudScale};
-pub use image::{ImageInput, Letterbox, Roll, Window};
+pub use image::{ImageInput, Letterbox};
+pub use roll::Roll;
+pub use window::Window;
 
 use where2act_core::ImageSize;
 
