@@ -381,6 +381,13 @@ fn only_an_earlier_prediction_is_replaced() {
     assert!(image::open(bench.path("out/sheet.png")).is_ok());
     bench.predict(&args).arg("--no-pictures").assert().success();
     assert!(!bench.path("out/sheet.png").exists() && bench.path("out/map_pulling.npy").exists());
+
+    // What was left of one that was broken off is removed by the next one.
+    std::fs::remove_file(bench.path("out/prediction.json")).unwrap();
+    std::fs::write(bench.path("out/.unfinished-prediction"), b"").unwrap();
+    bench.predict(&["picture.png", "--out", "out", "--primitive", "pushing"]).assert().success();
+    assert!(!bench.path("out/map_pulling.npy").exists() && bench.path("out/map_pushing.npy").exists());
+    assert!(!bench.path("out/.unfinished-prediction").exists());
 }
 
 #[test]

@@ -3,7 +3,7 @@
 //! (The simulator's `Clearance` asks the object itself, of which a camera sees half.)
 
 use nalgebra::{Point3, Rotation3, Vector3};
-use where2act_core::{GRIPPER, GripperGeometry, Primitive};
+use where2act_core::{GRIPPER, Primitive};
 
 /// Farthest that a part of the hand is from the contact point at the start, metres: the corners of the palm's back.
 pub(crate) const REACH: f32 = 0.206;
@@ -11,9 +11,7 @@ pub(crate) const REACH: f32 = 0.206;
 pub(crate) const GRIP_REACH: f32 = 0.079;
 /// How far inside the hand a point must be, metres: depth cameras are no more exact than that.
 const MARGIN: f32 = 0.002;
-/// How far beside the ray from the camera to the hand a point may be that hides it, metres: points are up to some 2 cm apart.
-const BESIDE: f32 = 0.015;
-/// Points inside the hand, or before it, that are more than a flying pixel.
+/// Points inside the hand that are more than a flying pixel.
 const ENOUGH: u32 = 2;
 
 /// Points that are compared at a time.
@@ -26,7 +24,7 @@ pub(crate) struct Room {
     /// Points less than [`GRIP_REACH`] away, offsets from the contact point, more densely than the others: fingers are narrow.
     close: Vec<Vector3<f32>>,
     /// The contact point in the camera frame.
-    contact: Vector3<f32>,
+    contact: Point3<f32>,
 }
 
 impl Room {
@@ -46,7 +44,7 @@ impl Room {
         }
         let close = close.into_iter().map(|point| point - contact);
         let close = close.filter(|o| o.norm_squared() < GRIP_REACH * GRIP_REACH).collect();
-        Self { offsets, close, contact: contact.coords }
+        Self { offsets, close, contact: *contact }
     }
 
     /// Whether a hand with this rotation fits: at the start, where contact fails a trial; and with the palm when the finger
@@ -69,29 +67,19 @@ impl Room {
                 return false;
             }
         }
-        (primitive != Primitive::Pulling || self.grips(rotation)) && self.begins_in_view(rotation)
+        primitive != Primitive::Pulling || self.grips(rotation)
     }
 
-    /// Whether nothing is seen before palm and fingers at the start. Behind what is seen nobody knows of room: it may be a shut
-    /// drawer's inside, or the far side of a window.
-    fn begins_in_view(&self, rotation: &Rotation3<f32>) -> bool {
+    /// Whether nothing is seen before palm and fingers at the start, of all that hides points from the camera. Behind what is seen
+    /// nobody knows of room: it may be a shut drawer's inside, or the far side of a window.
+    pub(crate) fn begins_in_view(
+        &self,
+        rotation: &Rotation3<f32>,
+        hidden: impl Fn(&Point3<f32>) -> bool,
+    ) -> bool {
         let approach: Vector3<f32> = rotation.matrix().column(2).into();
-        let [xs, ys, zs] = &self.offsets;
-        let mut before = 0;
-        for height in GRIPPER.along_axis() {
-            let hand = approach * (height - Primitive::START_DISTANCE);
-            let ray = (self.contact + hand).normalize();
-            for ((x, y), z) in xs.iter().zip(ys).zip(zs) {
-                let nearer = hand - Vector3::new(*x, *y, *z);
-                let along = ray.dot(&nearer);
-                let beside = nearer.norm_squared() - along * along;
-                before += u32::from((along > GripperGeometry::OUT_OF_VIEW) & (beside < BESIDE * BESIDE));
-            }
-            if before >= ENOUGH {
-                return false;
-            }
-        }
-        true
+        let at = |height: f32| self.contact + approach * (height - Primitive::START_DISTANCE);
+        !GRIPPER.along_axis().into_iter().any(|height| hidden(&at(height)))
     }
 
     /// Whether open fingers at the end of the approach have nothing inside them.
@@ -127,6 +115,7 @@ fn in_fingers([x, y, z]: [f32; 3], opening: f32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hidden::Directions;
 
     /// A hand that comes straight along the camera's axis, with its y axis along the camera's.
     fn straight() -> Rotation3<f32> {
@@ -172,26 +161,24 @@ mod tests {
     }
 
     #[test]
-    fn who_begins_behind_what_is_seen_has_no_room() {
-        // Towards the camera, from behind a surface that is 5 cm before the contact point and reaches 4 cm to all sides.
+    fn who_begins_behind_what_is_seen_does_not_begin_in_view() {
+        // A surface that reaches 4 cm to all sides, so far before the contact point and so far to the right of the ray there, metres.
         let contact = Point3::new(0.1, -0.2, 1.5);
-        let grid = |i: i32| Vector3::new((i % 9 - 4) as f32, (i / 9 - 4) as f32, -5.0) * 0.01;
-        let surface = |shift: f32| (0..81).map(move |i| contact + grid(i) + Vector3::x() * shift);
-        let room = |shift: f32| Room::new(surface(shift), std::iter::empty(), &contact);
+        let grid = |i: i32| Vector3::new((i % 9 - 4) as f32, (i / 9 - 4) as f32, 0.0) * 0.01;
+        let in_view = |ahead: f32, shift: f32, rotation: &Rotation3<f32>| {
+            let points: Vec<_> = (0..81)
+                .map(|i| contact * (1.0 - ahead / contact.z) + grid(i) + Vector3::x() * shift)
+                .collect();
+            let seen = Directions::new(&points);
+            Room::new([], [], &contact).begins_in_view(rotation, |point| seen.hides(point))
+        };
+        // Towards the camera, from behind the surface or beside it.
         let back = Rotation3::from_axis_angle(&Vector3::x_axis(), std::f32::consts::PI);
-        let pushes = |shift: f32| room(shift).fits(Primitive::Pushing, &back);
-        assert!(!pushes(0.0) && !pushes(0.04));
-        // Beside the surface, or with nothing but the surface touched before the hand.
-        assert!(pushes(0.09) && pushes(-0.09));
-        let touched = (0..81).map(|i| contact + grid(i) + Vector3::z() * 0.05);
-        let touched: Vec<_> = touched.collect();
-        assert!(
-            Room::new(touched.iter().copied(), std::iter::empty(), &contact)
-                .fits(Primitive::Pushing, &straight())
-        );
-        assert!(
-            !Room::new(touched.into_iter(), std::iter::empty(), &contact).fits(Primitive::Pushing, &back)
-        );
+        assert!(!in_view(0.05, 0.0, &back) && !in_view(0.05, 0.03, &back) && !in_view(-0.05, 0.0, &back));
+        assert!(in_view(0.05, 0.09, &back) && in_view(0.05, -0.09, &back));
+        // From the camera's side: nothing but what is touched lies behind the hand, or something far before it hides it.
+        assert!(in_view(-0.05, 0.0, &straight()) && in_view(0.0, 0.0, &straight()));
+        assert!(!in_view(0.5, 0.0, &straight()) && in_view(0.5, 0.2, &straight()));
     }
 
     #[test]

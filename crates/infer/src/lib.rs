@@ -126,6 +126,7 @@ mod dense;
 mod draw;
 mod error;
 mod gaze;
+mod hidden;
 mod nearest;
 mod options;
 mod pose;

@@ -8,7 +8,7 @@ use crate::Error;
 /// How to predict. The default asks for ten proposals of every primitive the network knows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Which primitives, in this order; empty = all of the network's. Default: empty.
+    /// Which primitives, each once, in this order; empty = all of the network's. Default: empty.
     pub primitives: Vec<Primitive>,
     /// Proposals to return per primitive, best first. Default: 10.
     pub top_k: usize,
@@ -67,11 +67,17 @@ impl Options {
         self.candidates.max(self.top_k.div_ceil(self.proposals_per_pixel().max(1)))
     }
 
-    /// Checks every number.
+    /// Checks every number, and that no primitive is asked for twice.
     ///
     /// # Errors
     /// The first field that is out of range.
     pub fn validate(&self) -> Result<(), Error> {
+        let mut others = self.primitives.iter();
+        while let Some(primitive) = others.next() {
+            if others.as_slice().contains(primitive) {
+                return Err(Error::invalid("primitives", "each once", format!("{primitive} twice")));
+            }
+        }
         let counts = [
             ("top_k", self.top_k),
             ("samples", self.samples),

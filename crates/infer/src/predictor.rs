@@ -232,8 +232,11 @@ impl Predictor {
         let rooms: Vec<Option<Room>> = places.iter().map(room).collect();
         let in_camera = |hand: &Scored| prepared.camera_from_gaze * hand.rotation;
         let fits = |hand: &Scored| {
-            let room = rooms.get(hand.candidate).and_then(Option::as_ref);
-            room.is_none_or(|room| room.fits(primitive, &in_camera(hand)))
+            rooms.get(hand.candidate).and_then(Option::as_ref).is_none_or(|room| {
+                let rotation = in_camera(hand);
+                room.fits(primitive, &rotation)
+                    && room.begins_in_view(&rotation, |point| prepared.hides(point))
+            })
         };
         let tried = self.heads.propose(features, &candidates, output, codes)?;
         let looking = match &prepared.input {

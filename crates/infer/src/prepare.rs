@@ -16,6 +16,7 @@ use crate::clearance::{GRIP_REACH, REACH, Room};
 use crate::decode::Places;
 use crate::dense::{Geometry, on_object, seen_point};
 use crate::gaze::{gaze, gaze_at};
+use crate::hidden::Directions;
 use crate::nearest::NearestIndex;
 use crate::predictor::{Place, reads};
 use crate::surface::{DepthView, normal};
@@ -55,8 +56,10 @@ pub(crate) struct Prepared<'a> {
     surface: Option<NearestIndex>,
     /// A scan that is no depth map, ...
     scan: Option<&'a [Point3<f32>]>,
-    /// ... and all its points, once they are asked for.
+    /// ... all its points, once they are asked for, ...
     scan_index: OnceLock<NearestIndex>,
+    /// ... and how far away they are in each direction.
+    scan_directions: OnceLock<Directions>,
     pub(crate) network_from_metres: f32,
     /// The camera's frame from that in which the network knows directions and points.
     pub(crate) camera_from_gaze: Rotation3<f32>,
@@ -146,6 +149,7 @@ impl<'a> Prepared<'a> {
             surface: None,
             scan: None,
             scan_index: OnceLock::new(),
+            scan_directions: OnceLock::new(),
             network_from_metres: 1.0,
             camera_from_gaze,
         })
@@ -211,6 +215,7 @@ impl<'a> Prepared<'a> {
             surface: Some(surface),
             scan,
             scan_index: OnceLock::new(),
+            scan_directions: OnceLock::new(),
             camera_from_gaze,
         })
     }
@@ -237,6 +242,17 @@ impl<'a> Prepared<'a> {
         };
         let close = if grips { around(GRIP_REACH) } else { None };
         Some(Room::new(around(REACH)?, close.unwrap_or_default(), &contact))
+    }
+
+    /// Whether something is seen before a point in the camera's frame. A picture alone hides nothing.
+    pub(crate) fn hides(&self, point: &Point3<f32>) -> bool {
+        match (self.depth, self.all_points()) {
+            (Some(depth), _) => depth.hides(point),
+            (None, Some(scan)) => {
+                self.scan_directions.get_or_init(|| Directions::new(scan.points())).hides(point)
+            }
+            (None, None) => false,
+        }
     }
 
     /// All points of a scan that is no depth map.

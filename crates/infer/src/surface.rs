@@ -105,7 +105,7 @@ impl DepthView<'_> {
         self.mask.is_none_or(|mask| mask.get(self.size.index(pixel)).copied().unwrap_or(false))
     }
 
-    fn depth_at(&self, u: i64, v: i64) -> Option<f32> {
+    pub(crate) fn depth_at(&self, u: i64, v: i64) -> Option<f32> {
         let inside = (0..self.size.width as i64).contains(&u) && (0..self.size.height as i64).contains(&v);
         let z = inside.then(|| self.depth.get(v as usize * self.size.width + u as usize)).flatten()?;
         is_measured_depth(*z).then_some(*z)

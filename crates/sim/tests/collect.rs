@@ -53,6 +53,14 @@ fn threads_and_shares_make_no_difference() {
     assert!(run(&whole, &["--jobs", "1"]).status.success());
     let expected = contents(&whole);
     assert_eq!(expected.len(), 4, "three shards and a manifest");
+    // Six primitives take turns over six scenes with three trials each.
+    let mut tried = [0; 6];
+    for path in list_shards(&whole).unwrap() {
+        let shard = Shard::open(&path).unwrap();
+        let trials = (0..shard.scenes().len()).flat_map(|scene| shard.trials(scene).unwrap());
+        trials.for_each(|trial| tried[trial.primitive as usize] += 1);
+    }
+    assert_eq!(tried, [3; 6]);
     assert!(run(&both, &["--jobs", "2"]).status.success());
     assert!(contents(&both) == expected, "two threads");
     assert!(run(&split, &["--shard", "1/2"]).status.success());

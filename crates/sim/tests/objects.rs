@@ -312,6 +312,11 @@ fn bad_trees_are_named_in_one_line() {
     let endless = "lower=\"-1e300\" upper=\"1e300\"";
     let drawer = || new().but("\"revolute\"", "\"prismatic\"").but("lower=\"0.5\" upper=\"2\"", endless);
     drawer().fails("cabinet.urdf", &["\"hinge\"", "finite limits"]);
+    // Degrees, and millimetres.
+    new().but("upper=\"2\"", "upper=\"90\"").fails("cabinet.urdf", &["\"hinge\"", "radians", "found 89.5"]);
+    let slides = |upper: &str| new().but("\"revolute\"", "\"prismatic\"").but("upper=\"2\"", upper);
+    slides("upper=\"350\"").fails("cabinet.urdf", &["\"hinge\"", "metres", "at 350"]);
+    assert!(slides("upper=\"1.5\"").open().is_ok());
     new().but("xyz=\"0 2 0\"", "xyz=\"0 1e200 0\"").fails("cabinet.urdf", &["\"hinge\"", "axis", "length"]);
     new().but("xyz=\"0 0 1\"", "xyz=\"0 0 1e300\"").fails("cabinet.urdf", &["\"weld\"", "finite"]);
     new().but("0.4 0.6 0.8", "0.4 1e300 0.8").fails("cabinet.urdf", &["\"body\"", "positive"]);

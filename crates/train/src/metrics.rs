@@ -120,11 +120,11 @@ impl ScoreMetrics {
 
 /// 95 % interval of the F-score over objects like these: percentiles of as many objects drawn with replacement (the bootstrap,
 /// Efron, 1979). Trials on one object end alike, so that intervals which took them for independent would be too narrow.
-/// `[low, high]`; all there is without objects.
+/// `[low, high]`; all there is without trials.
 #[must_use]
 pub fn f_score_interval(objects: &[Vec<(f32, bool)>], rng: &mut ChaCha8Rng) -> [f64; 2] {
     const DRAWS: usize = 2000;
-    if objects.is_empty() {
+    if objects.iter().all(Vec::is_empty) {
         return [0.0, 1.0];
     }
     // Twice the hits, and what the F-score divides that by.
@@ -230,20 +230,24 @@ pub struct Reliability {
     pub outcome: Rate,
 }
 
-/// Ten rows, scores 0.0-0.1 to 0.9-1.0, and the expected calibration error: the mean distance between score and
-/// outcome, weighted by trials.
+/// Of the trials on each of some objects: ten rows, scores 0.0-0.1 to 0.9-1.0, and the expected calibration error, the mean
+/// distance between score and outcome, weighted by trials.
 #[must_use]
-pub fn reliability(scored: &[(f32, bool)]) -> (Vec<Reliability>, f64) {
+pub fn reliability(objects: &[Vec<(f32, bool)>]) -> (Vec<Reliability>, f64) {
     let tenth = |score: f32| ((score * 10.0) as usize).min(9);
     let rows: Vec<Reliability> = (0..10)
         .map(|row| {
-            let mine: Vec<_> = scored.iter().filter(|(s, _)| tenth(*s) == row).collect();
-            let mean = mine.iter().map(|(s, _)| f64::from(*s)).sum::<f64>() / mine.len().max(1) as f64;
-            let outcome = Rate::new(mine.iter().filter(|(_, y)| *y).count() as u64, mine.len() as u64);
-            Reliability { from: row as f64 / 10.0, mean_score: mean, outcome }
+            let of_row = |scored: &Vec<(f32, bool)>| {
+                let mine = || scored.iter().filter(|(s, _)| tenth(*s) == row);
+                [mine().filter(|(_, y)| *y).count() as u64, mine().count() as u64]
+            };
+            let outcome = Rate::of_objects(&objects.iter().map(of_row).collect::<Vec<_>>());
+            let scores = objects.iter().flatten().map(|(s, _)| *s).filter(|s| tenth(*s) == row);
+            let mean_score = scores.map(f64::from).sum::<f64>() / outcome.tries.max(1) as f64;
+            Reliability { from: row as f64 / 10.0, mean_score, outcome }
         })
         .collect();
-    let total = scored.len().max(1) as f64;
+    let total = objects.iter().map(Vec::len).sum::<usize>().max(1) as f64;
     let error =
         rows.iter().map(|r| r.outcome.tries as f64 / total * (r.mean_score - r.outcome.rate).abs()).sum();
     (rows, error)
@@ -397,12 +401,20 @@ mod tests {
         assert_eq!(reliability(&[]).1, 0.0);
         let mut rng = where2act_core::Seed(1).rng();
         assert_eq!(f_score_interval(&[], &mut rng), [0.0, 1.0]);
+        assert_eq!(f_score_interval(&[vec![]], &mut rng), [0.0, 1.0]);
         assert_eq!(f_score_interval(&[vec![(0.1, false)]], &mut rng), [0.0, 0.0]);
     }
 
     #[test]
     fn a_calibrated_score_has_no_calibration_error() {
         let scored: Vec<_> = (0..100).map(|i| (0.25, i % 4 == 0)).collect();
-        assert!(reliability(&scored).1 < 1e-9);
+        assert!(reliability(std::slice::from_ref(&scored)).1 < 1e-9);
+        // Of a hundred objects with a trial each it is as certain as Wilson's interval, of one object hardly at all.
+        let apart: Vec<_> = scored.iter().map(|trial| vec![*trial]).collect();
+        let width = |objects: &[Vec<(f32, bool)>]| {
+            let row = reliability(objects).0[2].outcome;
+            row.high - row.low
+        };
+        assert!(width(&apart) < 0.2 && width(&[scored]) > 0.5);
     }
 }

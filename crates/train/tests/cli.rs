@@ -329,6 +329,13 @@ fn a_run_is_only_resumed_as_what_it_was() {
     assert!(contents(&bench.path("run")) == before);
     let said = worked(&bench.train("--out run --episodes 0 --config boards.toml --data data --resume"));
     assert_eq!(said.matches("GMAC").count(), 1, "how large the network is, once: {said}");
+
+    // Weights whose checkpoints somebody has deleted are still a run.
+    fs::remove_dir_all(bench.path("run/checkpoints")).unwrap();
+    let before = contents(&bench.path("run"));
+    refused(&train("--config boards.toml --data data --seed 4"), &["run", "holds a run already"]);
+    other("--config boards.toml --data data", &["run", "no checkpoint to go on from"]);
+    assert!(contents(&bench.path("run")) == before);
 }
 
 #[test]
@@ -375,7 +382,9 @@ fn evaluate_names_what_is_wrong() {
     refused(&evaluate("--weights weights --out folder.json"), &["--out", "folder.json", "is a directory"]);
     refused(&evaluate("--weights weights --out report.json --objects nowhere"), &["nowhere"]);
     refused(&evaluate("--weights weights --out report.json --objects other"), &["other", "mobility.urdf"]);
-    refused(&evaluate("--weights weights --out report.json --proposals 0"), &["--proposals", "at least 1"]);
+    refused(&evaluate("--weights weights --out report.json --proposals 0"), &["--proposals", "from 1 to"]);
+    refused(&evaluate("--weights weights --out report.json --proposals 20000"), &["--proposals", "10000"]);
+    refused(&evaluate("--weights weights --out report.json --informed 0"), &["--informed", "at least 1"]);
     refused(&evaluate("--weights weights --out report.json --jobs 0"), &["--jobs", "found 0"]);
     misused(&evaluate("--weights weights --out report.json --categories Sofa"), &["Sofa", "--categories"]);
     misused(&evaluate("--weights weights --out report.json --split all"), &["--split", "all"]);

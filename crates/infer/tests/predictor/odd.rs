@@ -92,6 +92,8 @@ fn what_is_of_no_use_is_refused_by_name() {
     says(rgb.predict(&picture(0, 8), &options), &["pixels"]);
     let elsewhere = Options { pixel: Some(Pixel { u: 8, v: 0 }), ..Options::default() };
     says(rgb.predict(&picture(8, 8), &elsewhere), &["pixel", "below 8", "8,0"]);
+    let twice = Options { primitives: vec![Primitive::Pulling; 2], ..Options::default() };
+    says(rgb.predict(&picture(8, 8), &twice), &["primitives", "each once", "pulling twice"]);
     let many = Options { samples: usize::MAX, ..Options::default() };
     says(rgb.predict(&picture(8, 8), &many), &["samples"]);
     let too_many = Options { samples: 10_000, candidates: 101, ..Options::default() };

@@ -87,6 +87,10 @@ struct Cli {
     quiet: bool,
 }
 
+/// Most scenes of a data set, and most trials in a scene, that may be asked for: far more than a disk and a memory hold.
+const MOST_SCENES: u64 = 100_000_000;
+const MOST_TRIALS: usize = 1_000_000;
+
 fn seed_range(text: &str) -> Result<std::ops::Range<u64>, String> {
     let range = text.split_once("..").and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
     range.filter(|r| !r.is_empty()).ok_or_else(|| "expected A..B with A < B, such as 0..1000".to_owned())
@@ -104,6 +108,12 @@ fn main() -> ExitCode {
 fn run(cli: &Cli) -> anyhow::Result<()> {
     if cli.scenes == 0 {
         bail!("--scenes 0: expected at least one scene");
+    }
+    if cli.scenes > MOST_SCENES {
+        bail!("--scenes {}: expected at most {MOST_SCENES}", cli.scenes);
+    }
+    if cli.trials > MOST_TRIALS {
+        bail!("--trials {}: expected at most {MOST_TRIALS} in every scene", cli.trials);
     }
     if cli.scenes_per_shard == 0 {
         bail!("--scenes-per-shard 0: expected at least one scene");

@@ -6,6 +6,7 @@ use serde_json::Value;
 use where2act_core::shard::Manifest;
 
 use super::CollectError;
+use crate::render::Held;
 
 /// Compares manifests and names the first difference. Of the recipe that was found, only what this version knows counts.
 pub(super) fn refuse_other(path: &Path, found: &Manifest, expected: &Manifest) -> Result<(), CollectError> {
@@ -32,6 +33,7 @@ fn complete(recipe: &Value) -> Value {
         for share in ["varied", "close"] {
             fields.entry(share).or_insert(Value::from(0.0));
         }
+        fields.entry("held").or_insert_with(|| serde_json::to_value(Held::default()).unwrap_or_default());
     }
     if let Some(Value::String(root)) = recipe.pointer_mut("/objects/folder/root")
         && let Ok(whole) = Path::new(root.as_str()).canonicalize()
@@ -100,6 +102,8 @@ mod tests {
         varied.recipe["varied"] = Value::from(1.0);
         let mut close = ours.clone();
         close.recipe["close"] = Value::from(1.0);
+        let mut held = ours.clone();
+        held.recipe["held"] = serde_json::json!({ "roll": 15.0, "beside": 0.0 });
         for (found, difference) in [
             (
                 manifest(&set(20, "Box/x"), 0.5),
@@ -111,6 +115,7 @@ mod tests {
             (other_scenes, "scenes 5, expected 4"),
             (varied, "recipe.varied 1.0, expected 0.0"),
             (close, "recipe.close 1.0, expected 0.0"),
+            (held, "recipe.held.roll 15.0, expected 0.0"),
         ] {
             let error = refuse_other(Path::new("m"), &found, &ours).expect_err(difference).to_string();
             assert_eq!(error, format!("m: made with {difference}"));

@@ -15,7 +15,7 @@ use super::{CollectError, Preparer, Recipe, Tally, collect_scene};
 
 /// Raised whenever a recipe no longer gives the objects, views and trials that it gave before: a data set begun with others
 /// is not gone on with.
-const GENERATORS: u32 = 2;
+const GENERATORS: u32 = 3;
 
 /// Share of a data set that one machine makes: shards k with k % of == index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -231,6 +231,10 @@ impl Collector {
                     }
                     Err(error) => unloadable.push((index, error)),
                 }
+            }
+            // What was there when the data set was begun has gone: rather a disk than an object.
+            if let Some(at) = unloadable.iter().position(|(_, e)| matches!(e, ObjectError::NotFound { .. })) {
+                return Err(unloadable.swap_remove(at).1.into());
             }
             // An object that cannot be loaded costs no other its scenes, if there is any other. Which scenes a shard
             // or a part happens to hold must not matter.

@@ -128,10 +128,13 @@ pub fn collect_scene(preparer: &Preparer, index: u64) -> Result<Option<SceneReco
     let Some(prep) = preparer.prepare(index)? else { return Ok(None) };
     let recipe = preparer.recipe();
     let Some(sampler) = Sampler::new(&prep.settled, &prep.view) else { return Ok(None) };
+    // Primitives take turns over the trials of all scenes: began each scene with the first one, it would get more trials.
+    let turns = recipe.primitives.len().max(1);
+    let first = (index % turns as u64) as usize * (recipe.trials % turns);
     let trial = |n: usize| {
         let seed: Seed = prep.info.seed.child("trial", n as u64);
         let rng = &mut seed.rng();
-        let primitive = recipe.primitives[n % recipe.primitives.len()];
+        let primitive = recipe.primitives[(first + n) % turns];
         let (policy, candidate) = if rng.random_bool(recipe.guided.clamp(0.0, 1.0)) {
             (Policy::Guided, sampler.guided_in_view(primitive, rng))
         } else {

@@ -57,6 +57,12 @@ pub enum ObjectError {
     /// Reversed, infinite or NaN limits.
     #[error("{}: joint {joint:?}: expected finite limits with lower <= upper, found {lower:?} and {upper:?}", path.display())]
     Limits { path: PathBuf, joint: String, lower: f64, upper: f64 },
+    /// A hinge that turns round and round: degrees, most likely.
+    #[error("{}: joint {joint:?}: expected limits in radians, at most {most} apart, found {range} (a joint without end is continuous)", path.display())]
+    Turns { path: PathBuf, joint: String, range: f32, most: f32 },
+    /// A joint that takes its part out of sight: millimetres, most likely.
+    #[error("{}: joint {joint:?}: expected limits in metres or radians that keep the object within {furthest} m of the origin, found a part {reach} m away at {q}", path.display())]
+    Opens { path: PathBuf, joint: String, q: f32, furthest: f32, reach: f32 },
     /// An axis without a direction, or too long to find it.
     #[error("{}: joint {joint:?}: expected an axis with a direction and a finite length, found {axis:?}", path.display())]
     Axis { path: PathBuf, joint: String, axis: [f64; 3] },

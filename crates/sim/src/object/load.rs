@@ -14,7 +14,8 @@ use super::mesh::{self, MeshFile, Textures};
 use super::soup::Soup;
 use super::urdf::Part;
 use super::{
-    ConvexPiece, Link, Material, Mesh, Object, Visual, bounding_sphere, cache, partnet, shapes, sides, urdf,
+    ConvexPiece, JointKind, Link, Material, Mesh, Object, Visual, bounding_sphere, cache, partnet, shapes,
+    sides, urdf,
 };
 
 /// Loads a URDF file with everything it refers to; convex pieces are kept in the folder `cache`.
@@ -53,21 +54,45 @@ pub(super) fn load(path: &Path, cache: Option<&Path>) -> Result<Object, ObjectEr
 
 /// Objects reach no further than this from the origin, metres: cameras stand some 5 m away. PartNet-Mobility's reach 1 m.
 const FURTHEST: f32 = 3.0;
+/// The same of an object with one joint at either limit: drawers and sashes may come out as far as objects are large.
+const FURTHEST_OPEN: f32 = 2.0 * FURTHEST;
 /// Radius of an object at least, metres: fingers are 2 cm wide.
 const SMALLEST: f32 = 0.02;
 
 /// Refuses what no camera sees and no hand can move.
 fn check_size(path: &Path, object: &Object) -> Result<(), ObjectError> {
-    let poses = object.world_from_links(&object.closed());
-    let points = object.links.iter().zip(&poses).flat_map(|(link, pose)| {
-        let visible = link.visuals.iter().flat_map(|visual| &visual.mesh.positions);
-        visible.chain(link.pieces.iter().flat_map(|piece| &piece.points)).map(move |p| pose * p)
-    });
-    let (_, radius) = bounding_sphere(points.clone());
-    let reach = points.map(|p| p.coords.norm()).fold(0.0, f32::max);
-    if radius < SMALLEST || reach > FURTHEST {
-        let path = path.to_owned();
-        return Err(ObjectError::Size { path, furthest: FURTHEST, smallest: SMALLEST, radius, reach });
+    let points_at = |q: &[f32]| -> Vec<Point3<f32>> {
+        let poses = object.world_from_links(q);
+        let points = object.links.iter().zip(&poses).flat_map(|(link, pose)| {
+            let visible = link.visuals.iter().flat_map(|visual| &visual.mesh.positions);
+            visible.chain(link.pieces.iter().flat_map(|piece| &piece.points)).map(move |p| pose * p)
+        });
+        points.collect()
+    };
+    let reach = |points: &[Point3<f32>]| points.iter().map(|p| p.coords.norm()).fold(0.0, f32::max);
+    let closed = points_at(&object.closed());
+    let (_, radius) = bounding_sphere(closed.iter().copied());
+    let (path, reach_closed) = (path.to_owned(), reach(&closed));
+    if radius < SMALLEST || reach_closed > FURTHEST {
+        return Err(ObjectError::Size {
+            path,
+            furthest: FURTHEST,
+            smallest: SMALLEST,
+            radius,
+            reach: reach_closed,
+        });
+    }
+    for link in object.movable().filter(|link| object.joint(*link).kind == JointKind::Prismatic) {
+        let joint = object.joint(link);
+        for limit in [joint.limits.0, joint.limits.1] {
+            let mut q = object.closed();
+            q[link - 1] = limit;
+            let reach = reach(&points_at(&q));
+            if reach > FURTHEST_OPEN {
+                let joint = joint.name.clone();
+                return Err(ObjectError::Opens { path, joint, q: limit, furthest: FURTHEST_OPEN, reach });
+            }
+        }
     }
     Ok(())
 }

@@ -197,11 +197,15 @@ impl Object {
         self.links[link].joint.as_ref().expect("every link but the root has a joint")
     }
 
-    /// Index of the link with this URDF name or label, or of the link that this one is welded to.
+    /// Index of the link with this URDF name, or of the link that this one is welded to, or of the only one with this label.
     #[must_use]
     pub fn find_link(&self, name: &str) -> Option<usize> {
         let named = |l: &Link| l.name == name || l.welded.iter().any(|w| w == name);
-        self.links.iter().position(named).or_else(|| self.links.iter().position(|l| l.label == name))
+        let labelled = || {
+            let mut links = (0..self.links.len()).filter(|i| self.links[*i].label == name);
+            links.next().filter(|_| links.next().is_none())
+        };
+        self.links.iter().position(named).or_else(labelled)
     }
 
     /// Poses of all links in the world at joint positions `q`, one per movable link.

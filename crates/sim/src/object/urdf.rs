@@ -243,6 +243,10 @@ fn movable(
                 upper,
             });
         }
+        JointKind::Revolute if limits.1 - limits.0 > 2.0 * CONTINUOUS_LIMIT => {
+            let (range, most) = (limits.1 - limits.0, 2.0 * CONTINUOUS_LIMIT);
+            return Err(ObjectError::Turns { path: path.to_owned(), joint: joint.name.clone(), range, most });
+        }
         _ => (kind, limits),
     };
     if limits.0 == limits.1 {

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use anyhow::bail;
 use clap::Parser;
 use where2act_core::{Category, Seed, Split, program};
+use where2act_infer::Options;
 use where2act_sim::collect::{ObjectSet, categories_of};
 use where2act_sim::render::Held;
 use where2act_train::evaluate::EvaluateConfig;
@@ -105,8 +106,11 @@ fn run(args: &Args) -> anyhow::Result<()> {
             bail!("{flag}: expected degrees from {} to {most}, found {found}", -most);
         }
     }
-    if config.proposals == 0 || config.scenes == 0 {
-        bail!("--proposals and --episodes: expected at least 1");
+    if config.scenes == 0 || config.informed == 0 {
+        bail!("--episodes and --informed: expected at least 1");
+    }
+    if !(1..=Options::MAX_COUNT).contains(&config.proposals) {
+        bail!("--proposals: expected a number from 1 to {}, found {}", Options::MAX_COUNT, config.proposals);
     }
     args.work.judge(&args.weights, &config, &stop, &args.out)
 }

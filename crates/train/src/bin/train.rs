@@ -132,7 +132,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let stop = args.work.begin()?;
     let config = configure(args)?;
     let out = args.out.clone().unwrap_or_else(|| Path::new("runs").join(&config.name));
-    if !args.resume && out.join(files::CHECKPOINTS).exists() {
+    let holds = |name: &str| out.join(name).exists();
+    if !args.resume && [files::CHECKPOINTS, files::LAST, files::WEIGHTS].into_iter().any(holds) {
         bail!("{}: holds a run already, expected an empty folder (or --resume to go on)", out.display());
     }
     // Collecting takes minutes: what cannot be made or read is found out first.

@@ -166,6 +166,10 @@ impl Report {
         for Row { primitive, score: s, f_score_interval: [low, high], calibration_error, .. } in
             &self.total.rows
         {
+            if s.trials == 0 {
+                let _ = writeln!(text, "| {primitive} | 0 | 0 | - | - | - | - | - |");
+                continue;
+            }
             let _ = writeln!(
                 text,
                 "| {primitive} | {} | {} | {:.3} ({low:.2}-{high:.2}) | {:.3} | {:.3} | {:.3} | {calibration_error:.3} |",
@@ -356,7 +360,7 @@ fn row(primitive: &str, results: &[OfObject<'_>], seed: Seed) -> Row {
     }
     let of_objects: Vec<_> = of_objects.into_values().collect();
     let scored = of_objects.concat();
-    let (rows, calibration_error) = reliability(&scored);
+    let (rows, calibration_error) = reliability(&of_objects);
     Row {
         primitive: primitive.to_owned(),
         possible_scenes: possible.len() as u64,

@@ -59,10 +59,17 @@ pub(super) fn prepare_folder(
 ) -> Result<String, TrainError> {
     let text = toml::to_string(config).map_err(|e| io(out, std::io::Error::other(e)))?;
     let path = out.join(files::CONFIG);
+    let begins = checkpoint::list(&out.join(files::CHECKPOINTS)).is_ok_and(|all| all.is_empty());
+    if begins && (out.join(files::LAST).exists() || out.join(files::WEIGHTS).exists()) {
+        return Err(TrainError::OtherRun {
+            path: out.to_owned(),
+            what: "weights, but no checkpoint to go on from",
+        });
+    }
     match fs::read_to_string(&path) {
         Ok(found) if found == text => {}
         // A run that never came to a checkpoint has nothing to lose.
-        Ok(_) if checkpoint::list(&out.join(files::CHECKPOINTS)).is_ok_and(|all| all.is_empty()) => {
+        Ok(_) if begins => {
             write_whole(&path, |w| w.write_all(text.as_bytes())).map_err(|e| io(&path, e))?;
         }
         Ok(_) => return Err(TrainError::OtherRun { path: out.to_owned(), what: "another configuration" }),

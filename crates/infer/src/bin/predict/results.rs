@@ -9,6 +9,9 @@ use where2act_core::{Observation, Prediction, Primitive, write_whole};
 use where2act_infer::write::{write_coloured_ply, write_npy_grid, write_npy_row};
 use where2act_infer::{Output, draw_overlay, draw_sheet, heat_colour, heat_end};
 
+/// While it is there, the rest of what is beside it may be half of a prediction, which the next one removes.
+const UNFINISHED: &str = ".unfinished-prediction";
+
 /// Writes `prediction.json`, a map and an overlay per primitive, and the contact sheet; for scans also a coloured ply
 /// per primitive. What an earlier prediction left goes first, and the JSON comes last: where it is, everything is.
 pub(crate) fn write(
@@ -44,13 +47,18 @@ pub(crate) fn write(
         save_png(&folder.join("sheet.png"), &draw_sheet(maps, prediction))?;
     }
     let json = serde_json::to_vec_pretty(prediction).context("prediction.json")?;
-    save(&folder.join("prediction.json"), |to| to.write_all(&json))
+    save(&folder.join("prediction.json"), |to| to.write_all(&json))?;
+    remove(&folder.join(UNFINISHED))
 }
 
-/// Removes an earlier prediction, its JSON first; without a JSON of ours, nothing: other files may have such names too.
+/// Removes an earlier prediction, its JSON first, or what there is of one; where neither was, nothing: other files may have such
+/// names too.
 fn forget(folder: &Path) -> Result<()> {
     let ours = std::fs::read(folder.join("prediction.json"))
         .is_ok_and(|json| serde_json::from_slice::<Prediction>(&json).is_ok());
+    let unfinished = folder.join(UNFINISHED);
+    let ours = ours || unfinished.exists();
+    save(&unfinished, |_| Ok(()))?;
     if !ours {
         return Ok(());
     }
@@ -61,18 +69,19 @@ fn forget(folder: &Path) -> Result<()> {
     let all = ["prediction.json".to_owned(), "sheet.png".to_owned()]
         .into_iter()
         .chain(of_one.into_iter().flatten());
-    for path in all.map(|name| folder.join(name)) {
-        match std::fs::remove_file(&path) {
-            Err(error)
-                if error.kind() != io::ErrorKind::NotFound
-                    && error.kind() != io::ErrorKind::NotADirectory =>
-            {
-                return Err(error).with_context(|| path.display().to_string());
-            }
-            _ => {}
+    all.map(|name| folder.join(name)).try_for_each(|path| remove(&path))
+}
+
+/// Removes a file, if it is there.
+fn remove(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(error)
+            if error.kind() != io::ErrorKind::NotFound && error.kind() != io::ErrorKind::NotADirectory =>
+        {
+            Err(error).with_context(|| path.display().to_string())
         }
+        _ => Ok(()),
     }
-    Ok(())
 }
 
 fn save(

@@ -32,7 +32,8 @@ Examples:
 
 Columns of --batch, separated by tabs: primitive, target_link, px py pz (contact point), ax ay az (approach), \
 fx fy fz (forward), and optionally q_<link> (start position of the joint that moves the link) and outcomes \
-(valid, reason, q_start, q_end, success), which are compared."
+(valid, reason, q_start, q_end, success), which are compared. A contact point of a table has no normal: that a hand \
+comes from behind the surface fails a single trial alone."
 )]
 struct Cli {
     /// A URDF file, its folder, or CATEGORY:SEED; with ~N at its end, variation N of it.
