@@ -80,7 +80,7 @@ impl Manifest {
     }
 }
 
-/// Shards present in a data folder, in order of their numbers.
+/// Shards present in a data folder, in order of their names: of their numbers, up to 100,000 shards.
 ///
 /// # Errors
 /// [`ShardError::Io`] if the folder cannot be listed.

@@ -8,7 +8,7 @@ use memmap2::Mmap;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use safetensors::tensor::{Dtype, SafeTensors};
 
-use super::scene::foreground;
+use super::scene::{check_camera, foreground};
 use super::{
     DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Header, METADATA_KEY, RGB_PIXELS, RGB_SIDE, SceneInfo, SceneRecord,
     ShardError,
@@ -85,6 +85,7 @@ impl Shard {
         }
         let shard = Self { path: path.to_owned(), map, infos: header.scenes, ranges, trial_start };
         for scene in 0..s {
+            check_camera(&shard.camera(scene)).map_err(|why| damaged(format!("scene {scene}: {why}")))?;
             shard.trials(scene)?;
         }
         Ok(shard)

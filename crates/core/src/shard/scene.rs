@@ -4,7 +4,7 @@ use nalgebra::{Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::{DEPTH_SIDE, DEPTH_UNIT};
-use crate::{Camera, Category, Pixel, Seed, Trial};
+use crate::{Camera, Category, Intrinsics, Pixel, Seed, Trial};
 
 /// Who a scene is, for splitting and for repeating it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,12 +64,6 @@ pub struct SceneRecord {
 }
 
 impl SceneRecord {
-    /// Depth in metres; 0 = background.
-    #[must_use]
-    pub fn depth_metres(&self) -> Vec<f32> {
-        self.depth.iter().map(|&d| f32::from(d) * DEPTH_UNIT).collect()
-    }
-
     /// Pixels of the depth map that show the object, row by row, with their points in the camera frame.
     #[must_use]
     pub fn foreground(&self) -> Vec<(Pixel, Point3<f32>)> {
@@ -81,6 +75,19 @@ impl SceneRecord {
     pub fn quantise_depth(metres: f32) -> u16 {
         let units = (metres / DEPTH_UNIT).round();
         if units >= 1.0 && units <= f32::from(u16::MAX) { units as u16 } else { 0 }
+    }
+}
+
+/// Refuses a camera that no scene has.
+pub(super) fn check_camera(camera: &Camera) -> Result<(), String> {
+    let Intrinsics { fx, fy, cx, cy } = camera.intrinsics;
+    let pose = &camera.world_from_camera;
+    let finite = [fx, fy, cx, cy].iter().chain(pose.translation.vector.iter()).all(|x| x.is_finite());
+    let turns = (pose.rotation.quaternion().norm() - 1.0).abs() < 1e-3;
+    if finite && turns && fx > 0.0 && fy > 0.0 {
+        Ok(())
+    } else {
+        Err(format!("{camera:?}, expected finite numbers, positive focal lengths and a rotation"))
     }
 }
 

@@ -3,7 +3,9 @@ use std::fs;
 use nalgebra::{Point3, Unit, Vector3};
 
 use super::*;
-use crate::{Category, Grasp, ImageSize, Invalid, Pixel, Policy, Primitive, Seed, Trial, Verdict};
+use crate::{
+    Category, Grasp, ImageSize, Intrinsics, Invalid, Pixel, Policy, Primitive, Seed, Trial, Verdict,
+};
 
 fn scene(index: u64, trials: usize) -> SceneRecord {
     let size = ImageSize::square(DEPTH_SIDE);
@@ -80,6 +82,12 @@ fn a_hand_survives_the_disk_as_nearly_as_its_axes_are_orthonormal() {
     }
 }
 
+/// As they lie in a shard.
+fn focal_lengths(scene: &SceneRecord) -> Vec<u8> {
+    let Intrinsics { fx, fy, .. } = scene.camera.intrinsics;
+    [fx, fy].into_iter().flat_map(f32::to_le_bytes).collect()
+}
+
 #[test]
 fn damage_and_other_versions_are_named() {
     let folder = tempfile::tempdir().unwrap();
@@ -95,6 +103,13 @@ fn damage_and_other_versions_are_named() {
     assert!(matches!(Shard::open(&path), Err(ShardError::Version { .. })));
     fs::write(&path, b"").unwrap();
     assert!(Shard::open(&path).is_err());
+    // A camera of zeros: its numbers are the only ones like these.
+    let lengths = focal_lengths(&scene(1, 3));
+    let at = good.windows(8).position(|bytes| *bytes == lengths).unwrap();
+    let mut blind = good.clone();
+    blind[at..at + 8].fill(0);
+    fs::write(&path, blind).unwrap();
+    assert!(Shard::open(&path).unwrap_err().to_string().contains("focal"));
 }
 
 #[test]
@@ -109,6 +124,8 @@ fn what_could_not_be_read_is_not_written() {
         assert!(!path.exists());
     };
     refuses("pixels", |s| s.link.truncate(10));
+    refuses("focal", |s| s.camera.intrinsics.fx = 0.0);
+    refuses("rotation", |s| s.camera.world_from_camera.translation.x = f32::NAN);
     refuses("NaN", |s| s.info.q[0] = f32::NAN);
     refuses("inf", |s| s.info.freedoms[0].room[1] = f32::INFINITY);
     refuses("NaN", |s| s.info.freedoms[0].axis = Unit::new_unchecked(Vector3::repeat(f32::NAN)));

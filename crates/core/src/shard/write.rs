@@ -6,6 +6,7 @@ use std::path::Path;
 
 use safetensors::tensor::{Dtype, TensorView};
 
+use super::scene::check_camera;
 use super::{
     DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Freedom, Header, METADATA_KEY, RGB_PIXELS, RGB_SIDE, SceneInfo,
     SceneRecord, ShardError,
@@ -54,6 +55,7 @@ fn check(scene: &SceneRecord) -> Result<(), String> {
     if sizes != (RGB_PIXELS, DEPTH_PIXELS, DEPTH_PIXELS) {
         return Err(format!("buffers of {sizes:?} pixels"));
     }
+    check_camera(&scene.camera)?;
     let finite = |numbers: &[f32]| numbers.iter().all(|x| x.is_finite());
     let SceneInfo { q, freedoms, .. } = &scene.info;
     if !finite(q) {

@@ -1,4 +1,5 @@
-//! The two inner loops. Theirs, and that of `operands`, is the only pointer arithmetic of the training convolutions.
+//! The two inner loops. Theirs, that of `operands` and that of `sweep`, which writes what they give, is the only pointer arithmetic
+//! of the training convolutions.
 
 use super::CHANNELS;
 use crate::Isa;

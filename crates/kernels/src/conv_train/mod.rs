@@ -1,5 +1,5 @@
 //! Convolution for training, on planes of f32 as PyTorch and burn lay them out (`[batch, channels, height, width]`):
-//! forward, gradient of the input, gradient of the weight, gradient of the bias.
+//! forward, gradient of the input, gradient of the weight.
 //!
 //! Rows are copied once, zero-padded, into a scratch that fits the second-level cache and is then one long row of
 //! positions; a table of offsets, one for each (input channel, tap), turns any kernel size and stride into the same inner

@@ -2,7 +2,7 @@
 //!
 //! A cloud of n points is a slice of 3 n numbers, x y z after x y z; a remainder of one or two numbers is ignored.
 //! No coordinates make these functions panic. Points with a coordinate that is not finite are neighbours of nothing and
-//! are chosen only when nothing else is left.
+//! are chosen only when nothing else is left, or first if told to.
 //!
 //! Squared distances are computed as `dx*dx + dy*dy + dz*dz` without fused multiply-add, in this order, so that every
 //! instruction set gives the same bits.

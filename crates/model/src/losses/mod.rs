@@ -5,8 +5,7 @@ use burn::tensor::activation::relu;
 
 use crate::heads::{Code, rotation_matrix};
 
-/// Added under the roots of the geodesic distance: at zero its slope stays finite and its value is 1e-3 rad. Smaller
-/// would be less than what f32 leaves of 3 - trace.
+/// Added under the roots of the geodesic distance: at zero its slope stays finite and its value is 1.4e-3 rad.
 const GEODESIC_EPSILON: f64 = 1e-6;
 
 /// The weighted mean, 0 if all weights are 0.

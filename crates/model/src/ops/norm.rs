@@ -58,6 +58,13 @@ pub(super) fn track(norm: &BatchNorm, moments: Moments) {
     update(&norm.running_var, moments.variance);
 }
 
+/// Moments that are numbers. Kernels make zeros of what is none; burn's own operations, which do the rest then, keep it, so that the
+/// loss shows that something went wrong.
+pub(super) fn known(moments: Moments) -> Option<Moments> {
+    let finite = moments.mean.iter().chain(&moments.variance).all(|x| x.is_finite());
+    finite.then_some(moments)
+}
+
 /// Why a gradient cannot fail.
 const CHECKED: &str = "the forward pass has checked the sizes";
 
@@ -92,7 +99,7 @@ impl Planes {
     ) -> Option<FlexTensor> {
         let [b, c, h, w] = sizes(x)?;
         let (isa, size) = (Isa::best(), [b, c, h * w]);
-        let moments = planes::moments(isa, size, values(x)).ok()?;
+        let moments = known(planes::moments(isa, size, values(x)).ok()?)?;
         let affine = affine(gamma, beta, self.epsilon);
         let y =
             planes::forward(isa, size, values(x), residual.map(values), &affine, &moments, self.relu).ok()?;
@@ -156,7 +163,7 @@ struct Rows {
 impl Function<3> for Rows {
     fn forward(&mut self, [x, gamma, beta]: [&FlexTensor; 3]) -> Option<FlexTensor> {
         let [n, c] = sizes(x)?;
-        let moments = rows::moments(Isa::best(), c, values(x)).ok()?;
+        let moments = known(rows::moments(Isa::best(), c, values(x)).ok()?)?;
         let affine = affine(gamma, beta, self.epsilon);
         let y = rows::forward(Isa::best(), values(x), &affine, &moments).ok()?;
         self.kept =

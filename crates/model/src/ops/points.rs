@@ -10,7 +10,7 @@ use where2act_kernels::norm_train::{pool, rows};
 use where2act_kernels::points::{Selection, gather_around, offset_gradient};
 
 use super::function::{Function, apply, flex, sizes, tensor, values, variable};
-use super::norm::{Kept, affine, track};
+use super::norm::{Kept, affine, known, track};
 
 /// The first layer of a neighbourhood's MLP before batch-norm: `offsets * weight + features[rows]`.
 ///
@@ -28,7 +28,7 @@ pub(crate) fn group(
     let inputs = [variable(features)?, variable(weight)?];
     let [m, _] = features.dims();
     let selection = Arc::new(select(rows, None, 1, m)?);
-    let (y, _) = apply(Group { selection, offsets: offsets.into(), weight: None }, inputs)?;
+    let (y, _) = apply(Group { selection, offsets: offsets.into() }, inputs)?;
     Some(tensor(y))
 }
 
@@ -76,7 +76,6 @@ fn select(rows: &[i64], weights: Option<Vec<f32>>, per_row: usize, inputs: usize
 struct Group {
     selection: Arc<Selection>,
     offsets: Arc<[f32]>,
-    weight: Option<FlexTensor>,
 }
 
 impl Function<2> for Group {
@@ -84,7 +83,6 @@ impl Function<2> for Group {
         let [_, channels] = sizes(features)?;
         let y = gather_around(Isa::best(), &self.selection, &self.offsets, values(weight), values(features))
             .ok()?;
-        self.weight = Some(weight.clone());
         Some(flex(y, [self.selection.rows(), channels]))
     }
 
@@ -135,7 +133,7 @@ struct Pool {
 impl Function<3> for Pool {
     fn forward(&mut self, [x, gamma, beta]: [&FlexTensor; 3]) -> Option<FlexTensor> {
         let [n, channels] = sizes(x)?;
-        let moments = rows::moments(Isa::best(), channels, values(x)).ok()?;
+        let moments = known(rows::moments(Isa::best(), channels, values(x)).ok()?)?;
         let affine = affine(gamma, beta, self.epsilon);
         let (y, which) = pool::forward(Isa::best(), self.neighbours, values(x), &affine, &moments).ok()?;
         let kept = Kept { x: x.clone(), gamma: gamma.clone(), beta: beta.clone(), output: None, moments };

@@ -160,6 +160,20 @@ fn batch_norms_of_pictures_equal_burns() {
     }
 }
 
+/// Zeros instead would hide from the loss that something went wrong.
+#[test]
+fn what_is_no_number_is_left_to_burn() {
+    let parameters = [random([2]), random([2])];
+    let with_nan = |shape: [usize; 2]| {
+        let mut values = numbers(random(shape));
+        values[3] = f32::NAN;
+        leaf(&Tensor::<2>::from_data(TensorData::new(values, shape), &Device::flex()))
+    };
+    let points = with_nan([6, 2]);
+    assert!(norm_rows_relu(&norm(&parameters), &points).is_none());
+    assert!(norm_planes(&norm(&parameters), &points.reshape([1, 2, 3, 2]), None, true).is_none());
+}
+
 #[test]
 fn batch_norms_of_points_equal_burns() {
     for [rows, channels] in [[1000, 32], [37, 5], [20_000, 3]] {

@@ -1,6 +1,7 @@
 //! Weights under the names of others: the published PyTorch checkpoints of the network for scans, and torchvision's
 //! ResNet-18.
 
+use std::fs;
 use std::path::Path;
 
 use burn::store::pytorch_reader::{DType, PytorchReader};
@@ -12,19 +13,30 @@ use crate::network::{Backbone, Network};
 /// Where the file keeps its parameters, if not at the top.
 const TOP_LEVEL_KEYS: [&str; 3] = ["state_dict", "model_state_dict", "model"];
 
-/// Whether these are the first bytes of something that `torch.save` wrote: a zip archive, or a pickle of old.
+/// Whether these are the first bytes of something that `torch.save` wrote: a zip archive, or a pickle of old. A safetensors file,
+/// whose header's length may look like a pickle, begins its header behind it.
 pub(super) fn is_pytorch(bytes: &[u8]) -> bool {
-    bytes.starts_with(b"PK\x03\x04") || bytes.starts_with(&[0x80, 0x02])
+    let pickled = bytes.starts_with(&[0x80, 0x02]) && bytes.get(8) != Some(&b'{');
+    bytes.starts_with(b"PK\x03\x04") || pickled
 }
 
 /// Reads PyTorch's own format. Nothing in the file is executed.
 pub(super) fn read_pytorch(path: &Path) -> Result<Tensors, WeightsError> {
     let format = |why: String| WeightsError::Format { path: path.to_owned(), why };
     let reader = PytorchReader::new(path).map_err(|e| format(format!("no readable PyTorch file: {e}")))?;
+    let length =
+        fs::metadata(path).map_err(|source| WeightsError::Io { path: path.to_owned(), source })?.len();
     let mut all = Tensors { path: path.to_owned(), ..Tensors::default() };
     for (name, tensor) in reader.tensors() {
         if name.ends_with("num_batches_tracked") {
             continue;
+        }
+        // A view may repeat a number without end.
+        if tensor.byte_len() as u64 > length {
+            let (found, shape) = (tensor.byte_len(), tensor.shape());
+            return Err(format(format!(
+                "tensor {name} {shape:?} takes {found} bytes, the whole file has {length}"
+            )));
         }
         let bytes = tensor.read().map_err(|e| format(e.to_string()))?;
         let values = match tensor.dtype() {
