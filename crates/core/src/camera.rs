@@ -63,6 +63,13 @@ impl Intrinsics {
         Self { fx: f, fy: f, cx: 0.5 * size.width as f32, cy: 0.5 * size.height as f32 }
     }
 
+    /// Whether these are of a camera: finite, with positive focal lengths.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        let Self { fx, fy, cx, cy } = *self;
+        [fx, fy, cx, cy].into_iter().all(f32::is_finite) && fx > 0.0 && fy > 0.0
+    }
+
     /// The point in the camera frame seen at picture coordinates (x, y) with `depth` along z, in metres.
     #[must_use]
     pub fn back_project(&self, x: f32, y: f32, depth: f32) -> Point3<f32> {

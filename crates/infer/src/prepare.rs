@@ -354,12 +354,11 @@ fn check(observation: &Observation) -> Result<(), Error> {
     }
     match intrinsics {
         None if rgb.is_none() => Err(no_intrinsics()),
-        Some(i) => {
-            let sound = [i.fx, i.fy, i.cx, i.cy].into_iter().all(f32::is_finite) && i.fx > 0.0 && i.fy > 0.0;
-            let found = || format!("{},{},{},{}", i.fx, i.fy, i.cx, i.cy);
-            if sound { Ok(()) } else { Err(Error::invalid("intrinsics", "positive focal lengths", found())) }
+        Some(i) if !i.is_sound() => {
+            let found = format!("{},{},{},{}", i.fx, i.fy, i.cx, i.cy);
+            Err(Error::invalid("intrinsics", "positive focal lengths", found))
         }
-        None => Ok(()),
+        _ => Ok(()),
     }
 }
 

@@ -9,7 +9,8 @@ use where2act_core::{Camera, ImageSize, Intrinsics};
 
 use crate::object::Object;
 
-/// Radius of the sphere that holds every object, with a margin, metres: wide cameras keep it in the picture.
+/// Radius of the sphere that holds generated and PartNet-Mobility's objects, with a margin, metres: wide cameras keep it in the
+/// picture. Of larger ones they show a part.
 const OBJECT_RADIUS: f32 = 1.1;
 
 /// Side of the picture at least, and how many times that at most, if the camera zooms in: parts of the object's extent.

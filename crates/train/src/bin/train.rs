@@ -19,7 +19,7 @@ use where2act_model::{Modality, Summary};
 use where2act_sim::collect::{CollectError, Collector, ObjectSet, Plan, Preparer, Recipe};
 use where2act_train::adaptive::Explored;
 use where2act_train::evaluate::EvaluateConfig;
-use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, TrainError, files, train};
+use where2act_train::run::{Control, EpochReport, NewTrials, StepReport, TrainError, begins, files, train};
 use where2act_train::teacher::Teacher;
 use where2act_train::{
     Arithmetic, CollectConfig, Dataset, Folder, TeacherConfig, TrainConfig, adaptive, checkpoint,
@@ -141,7 +141,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let mut data = args.data.clone();
     if data.is_empty() {
         // A checkpoint has all that a run began with.
-        if checkpoint::list(&out.join(files::CHECKPOINTS)).is_ok_and(|all| all.is_empty()) {
+        if begins(&out)? {
             check_start(&config)?;
         }
         data = collect(&config, &args.work, &stop)?;

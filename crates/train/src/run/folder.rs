@@ -51,6 +51,19 @@ pub(super) fn lock(out: &Path) -> Result<fs::File, TrainError> {
     }
 }
 
+/// Whether a run in this folder would begin, for want of a checkpoint.
+///
+/// # Errors
+/// [`TrainError::OtherRun`] if there are weights that it would write over.
+pub fn begins(out: &Path) -> Result<bool, TrainError> {
+    let begins = checkpoint::list(&out.join(files::CHECKPOINTS)).is_ok_and(|all| all.is_empty());
+    if begins && (out.join(files::LAST).exists() || out.join(files::WEIGHTS).exists()) {
+        let what = "weights, but no checkpoint to go on from";
+        return Err(TrainError::OtherRun { path: out.to_owned(), what });
+    }
+    Ok(begins)
+}
+
 /// Creates the run's folder with its configuration, or checks that it holds the same one.
 pub(super) fn prepare_folder(
     config: &TrainConfig,
@@ -59,13 +72,7 @@ pub(super) fn prepare_folder(
 ) -> Result<String, TrainError> {
     let text = toml::to_string(config).map_err(|e| io(out, std::io::Error::other(e)))?;
     let path = out.join(files::CONFIG);
-    let begins = checkpoint::list(&out.join(files::CHECKPOINTS)).is_ok_and(|all| all.is_empty());
-    if begins && (out.join(files::LAST).exists() || out.join(files::WEIGHTS).exists()) {
-        return Err(TrainError::OtherRun {
-            path: out.to_owned(),
-            what: "weights, but no checkpoint to go on from",
-        });
-    }
+    let begins = begins(out)?;
     match fs::read_to_string(&path) {
         Ok(found) if found == text => {}
         // A run that never came to a checkpoint has nothing to lose.

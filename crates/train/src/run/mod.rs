@@ -21,7 +21,7 @@ use where2act_model::{Precision, TrainingEngine, save_weights};
 
 pub use error::TrainError;
 pub(crate) use error::io;
-pub use folder::files;
+pub use folder::{begins, files};
 use folder::{forget_metrics_after, lock, prepare_folder};
 pub use report::{EpochReport, Outcome, StageSecs, StepReport};
 use report::{card, number, report};
