@@ -85,6 +85,7 @@ fn learn(dataset: &Arc<Dataset>, modality: Modality, out: &Path) -> PathBuf {
             surroundings: true,
             second_look: true,
             ways: Some(2.0),
+            image_side: 224,
             close_up: None,
             alignments: 0,
         },

@@ -179,7 +179,11 @@ fn scenes_are_made_again_from_their_info() {
         for scene in 0..shard.scenes().len() {
             let record = shard.record(scene).unwrap();
             let again = preparer.restore(&record.info).unwrap();
-            assert!(again.record(record.trials.clone()) == record, "scene {}", record.info.index);
+            assert!(
+                again.record(record.trials.clone(), record.rgb_side()) == record,
+                "scene {}",
+                record.info.index
+            );
             // The camera zoomed in.
             let (columns, rows): (Vec<_>, Vec<_>) =
                 record.foreground().iter().map(|(pixel, _)| (pixel.u, pixel.v)).unzip();

@@ -8,7 +8,7 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use where2act_core::shard::{DEPTH_SIDE, DEPTH_UNIT, RGB_SIDE, Shard};
+use where2act_core::shard::{DEPTH_SIDE, DEPTH_UNIT, Shard};
 use where2act_core::{ImageSize, Orientation6, Pixel, Seed};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
 use where2act_model::{Grouping, Hierarchy, Modality, ModelConfig, hand_frame};
@@ -214,7 +214,8 @@ impl Source {
         // What a rolled picture does not show any more, and what a scanner does not measure, is not asked about.
         let foreground = match self.model.modality {
             Modality::Rgb => {
-                let inside = |pixel: Pixel| shown.pixel(picture_pixel(pixel), RGB_SIDE).is_some();
+                let side = shard.rgb_side();
+                let inside = |pixel: Pixel| shown.pixel(picture_pixel(pixel, side), side).is_some();
                 questions.retain(|q| inside(q.pixel));
                 places.retain(|(pixel, _)| inside(*pixel));
                 Vec::new()
@@ -230,7 +231,9 @@ impl Source {
             }
         };
         let view = match self.model.modality {
-            Modality::Rgb => image_view(shard.rgb(id.scene), &questions, &places, shown, &self.model),
+            Modality::Rgb => {
+                image_view(shard.rgb(id.scene), shard.rgb_side(), &questions, &places, shown, &self.model)
+            }
             Modality::Cloud => cloud_view(&foreground, &questions, &places, shown, &self.model, rng),
         };
         let fail = |source| DataError::View { path: shard.path().to_owned(), scene: id.scene, source };
@@ -326,26 +329,25 @@ fn rows(asked: &[&[usize]], counts: &[[usize; 2]]) -> Vec<usize> {
     rows
 }
 
-/// Pixel of the stored picture that shows a pixel of the stored depth map.
-pub(crate) fn picture_pixel(pixel: Pixel) -> Pixel {
-    let shrink = (DEPTH_SIDE / RGB_SIDE) as u32;
+/// Pixel of the stored picture, `side` x `side` pixels, that shows a pixel of the stored depth map.
+pub(crate) fn picture_pixel(pixel: Pixel, side: usize) -> Pixel {
+    let shrink = (DEPTH_SIDE / side) as u32;
     Pixel { u: pixel.u / shrink, v: pixel.v / shrink }
 }
 
 fn image_view(
     rgb: Vec<[u8; 3]>,
+    side: usize,
     questions: &[Question],
     places: &[(Pixel, usize)],
     shown: Shown,
     model: &ModelConfig,
 ) -> Result<View, PreprocessError> {
-    let rgb = shown.picture(rgb, RGB_SIDE);
-    let input = ImageInput::new(ImageSize::square(RGB_SIDE), &rgb, None, &model.preprocessing)?;
+    let rgb = shown.picture(rgb, side);
+    let input = ImageInput::new(ImageSize::square(side), &rgb, None, &model.preprocessing)?;
     let place = |pixel: Pixel| {
-        let pixel = picture_pixel(pixel);
-        input
-            .letterbox
-            .network_index(shown.pixel(pixel, RGB_SIDE).expect("places beside the picture are left out"))
+        let pixel = shown.pixel(picture_pixel(pixel, side), side);
+        input.letterbox.network_index(pixel.expect("places beside the picture are left out"))
     };
     Ok(View {
         trials: questions.iter().map(|q| (place(q.pixel), q.output, q.orientation, q.success)).collect(),
@@ -459,8 +461,10 @@ mod tests {
 
     #[test]
     fn a_depth_pixel_and_its_picture_pixel_agree() {
-        assert_eq!(picture_pixel(Pixel { u: 447, v: 447 }), Pixel { u: 223, v: 223 });
-        assert_eq!(picture_pixel(Pixel { u: 3, v: 2 }), Pixel { u: 1, v: 1 });
+        let pixel = |u, v| Pixel { u, v };
+        assert_eq!(picture_pixel(pixel(447, 447), 224), pixel(223, 223));
+        assert_eq!(picture_pixel(pixel(3, 2), 224), pixel(1, 1));
+        assert_eq!(picture_pixel(pixel(3, 2), 448), pixel(3, 2));
     }
 
     #[test]

@@ -48,6 +48,18 @@ pub enum DataError {
         /// Trials of it.
         trials: usize,
     },
+    /// Pictures show less than the network sees.
+    #[error(
+        "{}: pictures of {side} pixels a side, expected at least network.image_side = {image_side}; collect with --picture-side 448", .path.display()
+    )]
+    SmallPictures {
+        /// The shard.
+        path: PathBuf,
+        /// Their side.
+        side: usize,
+        /// The network's.
+        image_side: usize,
+    },
     /// A view cannot be shown to the network.
     #[error("{}: scene {scene}: {source}", path.display())]
     View {
@@ -215,6 +227,20 @@ impl Dataset {
             }
         }
         Ok(counts)
+    }
+
+    /// Checks that no picture is smaller than `image_side` pixels a side.
+    ///
+    /// # Errors
+    /// [`DataError::SmallPictures`].
+    pub fn require_pictures(&self, image_side: usize) -> Result<(), DataError> {
+        self.shards.iter().find(|shard| shard.rgb_side() < image_side).map_or(Ok(()), |shard| {
+            Err(DataError::SmallPictures {
+                path: shard.path().to_owned(),
+                side: shard.rgb_side(),
+                image_side,
+            })
+        })
     }
 
     /// Checks that each of the primitives succeeds at least once.

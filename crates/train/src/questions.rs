@@ -57,8 +57,8 @@ impl Question {
 const BESIDE: usize = 12;
 /// One in so many places where nothing moves lies beside an outline. With one in two the background further away lit up.
 const BESIDE_IN: u32 = 3;
-/// A pixel of the picture shows [`DEPTH_SIDE`] / [`RGB_SIDE`] pixels of the depth map a side, so that one this close to an
-/// outline may show what is on its other side; depth cameras mix the two there.
+/// A pixel of the published picture shows [`DEPTH_SIDE`] / [`RGB_SIDE`] pixels of the depth map a side, so that one this close
+/// to an outline may show what is on its other side; depth cameras mix the two there.
 const BLURRED: usize = DEPTH_SIDE / RGB_SIDE;
 
 /// What pixels of the stored depth map show.

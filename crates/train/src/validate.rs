@@ -5,7 +5,7 @@ use burn::tensor::{Tensor, TensorData};
 use nalgebra::Point3;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use where2act_core::shard::{RGB_SIDE, SceneRecord};
+use where2act_core::shard::SceneRecord;
 use where2act_core::{ImageSize, Orientation6, Policy, Seed, Trial};
 use where2act_model::preprocess::{CloudInput, CloudScale, ImageInput, PreprocessError};
 use where2act_model::{Choice, Input, Modality, Network, hand_frame};
@@ -49,9 +49,9 @@ fn score_record(
     let mut hand_views = Vec::new();
     let features = match config.modality {
         Modality::Rgb => {
-            let size = ImageSize::square(RGB_SIDE);
-            let input = ImageInput::new(size, &record.rgb, None, &config.preprocessing)?;
-            let place = |t: &&Trial| (0, input.letterbox.network_index(picture_pixel(t.pixel)));
+            let side = record.rgb_side();
+            let input = ImageInput::new(ImageSize::square(side), &record.rgb, None, &config.preprocessing)?;
+            let place = |t: &&Trial| (0, input.letterbox.network_index(picture_pixel(t.pixel, side)));
             let images = ImageInput::batch(std::slice::from_ref(&input), &device);
             network.features_at(Input::Images(images), &trials.iter().map(place).collect::<Vec<_>>())
         }

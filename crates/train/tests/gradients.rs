@@ -42,6 +42,7 @@ fn config(modality: Modality) -> TrainConfig {
             alignments: 3,
             second_look: true,
             ways: Some(2.0),
+            image_side: 224,
             close_up: None,
         },
         batch: BatchConfig {

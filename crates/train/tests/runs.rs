@@ -46,6 +46,7 @@ fn config(score_steps: usize, joint_steps: usize) -> TrainConfig {
             alignments: 2,
             second_look: true,
             ways: Some(2.0),
+            image_side: 224,
             close_up: None,
             candidates: 256,
         },
@@ -125,6 +126,20 @@ fn an_interrupted_run_ends_with_the_same_bits() {
         a.iter().filter(|(name, tensor)| b.get(*name) != Some(tensor)).map(|x| x.0).collect();
     assert!(different.is_empty(), "{different:?}");
     assert!(std::fs::metadata(whole.join(files::CURVES)).unwrap().len() > 1000);
+}
+
+/// The epoch's last step is the first with trials.
+#[test]
+fn where_an_interrupted_run_says_it_stands_is_where_it_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = data(&folder.path().join("data"), 16);
+    let mut config = config(0, 2);
+    config.schedule.look_steps = 5;
+    let run = folder.path().join("run");
+    let (outcome, losses) = train_for(&config, &data, &run, 6).unwrap();
+    assert!(!outcome.finished && losses.len() == 6);
+    let (_, rest) = train_for(&config, &data, &run, usize::MAX).unwrap();
+    assert_eq!(outcome.progress.step, config.steps() - rest.len());
 }
 
 #[test]
@@ -285,6 +300,29 @@ fn a_network_for_pictures_learns_from_one_for_scans() {
     config.network.modality = Modality::Cloud;
     let error = train_for(&config, &data, &folder.path().join("scans"), 1).unwrap_err();
     assert!(error.to_string().contains("teacher.weights"), "{error}");
+}
+
+#[test]
+fn a_network_for_pictures_may_see_more_pixels_than_the_one_it_begins_as() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let small = data(&path("data"), 16);
+    boards::write_with_large_pictures(&path("large"), 0..16);
+    let large = Arc::new(Dataset::open(&path("large"), false).unwrap());
+    let mut config = config(0, 2);
+    config.network.modality = Modality::Rgb;
+    config.network.width = 0.125;
+    (config.network.second_look, config.batch.measured, config.batch.rolled) = (false, 0.0, 0.5);
+    train_for(&config, &small, &path("first"), usize::MAX).unwrap();
+
+    config.from = Some(path("first").join(files::LAST));
+    config.network.image_side = 288;
+    let error = train_for(&config, &small, &path("refused"), 1).unwrap_err();
+    assert!(error.to_string().contains("pictures of 224 pixels a side"), "{error}");
+    let (outcome, _) = train_for(&config, &large, &path("second"), usize::MAX).unwrap();
+    assert!(outcome.finished);
+    let network = Weights::load(&path("second").join(files::LAST), &Device::flex()).unwrap().network;
+    assert_eq!(network.config().preprocessing.image_side, 288);
 }
 
 /// The first loss is that of the forward pass alone, those after it of gradients too.

@@ -8,11 +8,8 @@ use memmap2::Mmap;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use safetensors::tensor::{Dtype, SafeTensors};
 
-use super::scene::{check_camera, foreground};
-use super::{
-    DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Header, METADATA_KEY, RGB_PIXELS, RGB_SIDE, SceneInfo, SceneRecord,
-    ShardError,
-};
+use super::scene::{check_camera, check_rgb_side, foreground};
+use super::{DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Header, METADATA_KEY, SceneInfo, SceneRecord, ShardError};
 use crate::{Camera, Grasp, ImageSize, Intrinsics, Invalid, Pixel, Policy, Primitive, Trial, Verdict};
 
 /// A shard opened for reading. Only what is asked for is read from disk.
@@ -24,6 +21,7 @@ pub struct Shard {
     /// Byte ranges of the tensors in the map.
     ranges: HashMap<String, std::ops::Range<usize>>,
     trial_start: Vec<usize>,
+    rgb_side: usize,
 }
 
 impl Shard {
@@ -63,10 +61,13 @@ impl Shard {
             return Err(damaged("trial_start does not count the trials".to_owned()));
         }
         let t = trial_start[s];
+        let rgb = tensors.tensor("rgb").map_err(|e| damaged(e.to_string()))?;
+        let rgb_side = rgb.shape().get(1).copied().unwrap_or_default();
+        check_rgb_side(rgb_side).map_err(damaged)?;
         let mut ranges = HashMap::new();
         let base = map.as_ptr() as usize;
         for (name, dtype, shape) in [
-            ("rgb", Dtype::U8, vec![s, RGB_SIDE, RGB_SIDE, 3]),
+            ("rgb", Dtype::U8, vec![s, rgb_side, rgb_side, 3]),
             ("depth", Dtype::U16, vec![s, DEPTH_SIDE, DEPTH_SIDE]),
             ("link", Dtype::U8, vec![s, DEPTH_SIDE, DEPTH_SIDE]),
             ("camera", Dtype::F32, vec![s, 11]),
@@ -83,7 +84,7 @@ impl Shard {
             let start = tensor.data().as_ptr() as usize - base;
             ranges.insert(name.to_owned(), start..start + tensor.data().len());
         }
-        let shard = Self { path: path.to_owned(), map, infos: header.scenes, ranges, trial_start };
+        let shard = Self { path: path.to_owned(), map, infos: header.scenes, ranges, trial_start, rgb_side };
         for scene in 0..s {
             check_camera(&shard.camera(scene)).map_err(|why| damaged(format!("scene {scene}: {why}")))?;
             shard.trials(scene)?;
@@ -121,10 +122,16 @@ impl Shard {
         }
     }
 
-    /// Colours at 224x224.
+    /// Width and height of the stored pictures: 448, or what divides it.
+    #[must_use]
+    pub fn rgb_side(&self) -> usize {
+        self.rgb_side
+    }
+
+    /// Colours, [`Self::rgb_side`] squared.
     #[must_use]
     pub fn rgb(&self, scene: usize) -> Vec<[u8; 3]> {
-        self.row("rgb", scene, RGB_PIXELS * 3).chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect()
+        self.row("rgb", scene, self.rgb_side.pow(2) * 3).chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect()
     }
 
     /// Depth at 448x448 in [`DEPTH_UNIT`](super::DEPTH_UNIT).

@@ -53,7 +53,7 @@ pub struct SceneRecord {
     pub info: SceneInfo,
     /// The camera of the 448 picture.
     pub camera: Camera,
-    /// Colours at 224x224, sRGB.
+    /// Colours, sRGB, of a square picture: see [`Self::rgb_side`].
     pub rgb: Vec<[u8; 3]>,
     /// Depth at 448x448 in [`DEPTH_UNIT`]; 0 = background.
     pub depth: Vec<u16>,
@@ -70,11 +70,26 @@ impl SceneRecord {
         foreground(&self.camera, &self.depth)
     }
 
+    /// Width and height of the picture.
+    #[must_use]
+    pub fn rgb_side(&self) -> usize {
+        self.rgb.len().isqrt()
+    }
+
     /// Metres to stored units; anything not representable becomes background.
     #[must_use]
     pub fn quantise_depth(metres: f32) -> u16 {
         let units = (metres / DEPTH_UNIT).round();
         if units >= 1.0 && units <= f32::from(u16::MAX) { units as u16 } else { 0 }
+    }
+}
+
+/// Refuses pictures whose pixels do not each show as many whole ones of the depth map.
+pub(super) fn check_rgb_side(side: usize) -> Result<(), String> {
+    if side > 0 && DEPTH_SIDE.is_multiple_of(side) {
+        Ok(())
+    } else {
+        Err(format!("pictures of {side} pixels a side, expected {DEPTH_SIDE} or what divides it"))
     }
 }
 

@@ -41,7 +41,7 @@ fn scene(index: u64, trials: usize) -> SceneRecord {
             }],
         },
         camera,
-        rgb: vec![[index as u8, 2, 3]; RGB_PIXELS],
+        rgb: vec![[index as u8, 2, 3]; RGB_SIDE * RGB_SIDE],
         depth: (0..DEPTH_PIXELS).map(|i| (i % 60_000) as u16).collect(),
         link: (0..DEPTH_PIXELS).map(|i| (i % 3) as u8).collect(),
         trials: (0..trials).map(trial).collect(),
@@ -60,6 +60,23 @@ fn scenes_survive_the_disk_and_files_are_the_same_every_time() {
     for (i, scene) in scenes.iter().enumerate() {
         assert_eq!(shard.record(i).unwrap(), *scene);
     }
+}
+
+#[test]
+fn pictures_may_be_as_large_as_depth_maps() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("shard");
+    let large = |index| SceneRecord {
+        rgb: (0..DEPTH_PIXELS).map(|i| [i as u8, (i >> 8) as u8, 3]).collect(),
+        ..scene(index, 2)
+    };
+    write_shard(&path, &[large(1), large(2)]).unwrap();
+    let shard = Shard::open(&path).unwrap();
+    assert_eq!((shard.rgb_side(), shard.record(1).unwrap()), (DEPTH_SIDE, large(2)));
+    let mixed = write_shard(&path, &[large(1), scene(2, 2)]).unwrap_err().to_string();
+    assert!(mixed.contains("scene 2") && mixed.contains("expected [200704"), "{mixed}");
+    let odd = write_shard(&path, &[SceneRecord { rgb: vec![[0; 3]; 100 * 100], ..scene(5, 0) }]).unwrap_err();
+    assert!(odd.to_string().contains("pictures of 100 pixels"), "{odd}");
 }
 
 #[test]

@@ -6,10 +6,10 @@ use std::path::Path;
 
 use safetensors::tensor::{Dtype, TensorView};
 
-use super::scene::check_camera;
+use super::scene::{check_camera, check_rgb_side};
 use super::{
-    DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Freedom, Header, METADATA_KEY, RGB_PIXELS, RGB_SIDE, SceneInfo,
-    SceneRecord, ShardError,
+    DEPTH_PIXELS, DEPTH_SIDE, FORMAT, Freedom, Header, METADATA_KEY, RGB_SIDE, SceneInfo, SceneRecord,
+    ShardError,
 };
 use crate::{Pixel, write_whole};
 
@@ -21,8 +21,9 @@ use crate::{Pixel, write_whole};
 pub fn write_shard(path: &Path, scenes: &[SceneRecord]) -> Result<(), ShardError> {
     let damaged = |why: String| ShardError::Damaged { path: path.to_owned(), why };
     let mut columns = Columns::default();
+    let side = scenes.first().map_or(RGB_SIDE, SceneRecord::rgb_side);
     for scene in scenes {
-        check(scene).map_err(|why| damaged(format!("scene {}: {why}", scene.info.index)))?;
+        check(scene, side).map_err(|why| damaged(format!("scene {}: {why}", scene.info.index)))?;
         columns.push(scene);
     }
     let header = Header { format: FORMAT, scenes: scenes.iter().map(|s| s.info.clone()).collect() };
@@ -34,7 +35,7 @@ pub fn write_shard(path: &Path, scenes: &[SceneRecord]) -> Result<(), ShardError
         TensorView::new(dtype, shape.to_vec(), data).map_err(|e| damaged(e.to_string()))
     };
     let tensors = [
-        ("rgb", view(Dtype::U8, &[s, RGB_SIDE, RGB_SIDE, 3], &columns.rgb)?),
+        ("rgb", view(Dtype::U8, &[s, side, side, 3], &columns.rgb)?),
         ("depth", view(Dtype::U16, &[s, DEPTH_SIDE, DEPTH_SIDE], &columns.depth)?),
         ("link", view(Dtype::U8, &[s, DEPTH_SIDE, DEPTH_SIDE], &columns.link)?),
         ("camera", view(Dtype::F32, &[s, 11], &columns.camera)?),
@@ -49,11 +50,14 @@ pub fn write_shard(path: &Path, scenes: &[SceneRecord]) -> Result<(), ShardError
         .map_err(|source| ShardError::Io { path: path.to_owned(), source })
 }
 
-/// What could be written but not be read: JSON has no word for numbers that are not finite.
-fn check(scene: &SceneRecord) -> Result<(), String> {
-    let sizes = (scene.rgb.len(), scene.depth.len(), scene.link.len());
-    if sizes != (RGB_PIXELS, DEPTH_PIXELS, DEPTH_PIXELS) {
-        return Err(format!("buffers of {sizes:?} pixels"));
+/// What could be written but not be read: JSON has no word for numbers that are not finite. `side` is that of the first
+/// scene's picture, which all of a shard have.
+fn check(scene: &SceneRecord, side: usize) -> Result<(), String> {
+    check_rgb_side(side)?;
+    let (found, expected) =
+        ([scene.rgb.len(), scene.depth.len(), scene.link.len()], [side.pow(2), DEPTH_PIXELS, DEPTH_PIXELS]);
+    if found != expected {
+        return Err(format!("buffers of {found:?} pixels, expected {expected:?}"));
     }
     check_camera(&scene.camera)?;
     let finite = |numbers: &[f32]| numbers.iter().all(|x| x.is_finite());

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use clap::Parser;
 use where2act_core::program::{self, Progress};
+use where2act_core::shard::{DEPTH_SIDE, RGB_SIDE};
 use where2act_core::{Category, Primitive, Seed};
 use where2act_sim::collect::{Collected, Collector, ObjectSet, Part, Plan, Recipe, categories_of};
 
@@ -64,6 +65,10 @@ struct Cli {
     /// Share of the scenes whose object is stretched along its axes and perhaps lies on its side.
     #[arg(long, default_value_t = 0.0, value_name = "FRACTION", value_parser = fraction)]
     varied: f64,
+    /// Side of the pictures that are kept, pixels; what is rendered has 448. Networks with a larger `network.image_side` than 224
+    /// learn from larger ones.
+    #[arg(long, default_value_t = RGB_SIDE, value_name = "224|448", value_parser = picture_side)]
+    picture_side: usize,
     /// Simulate every step at 500 Hz: three times slower, the same outcome in nearly all trials.
     #[arg(long)]
     faithful: bool,
@@ -99,6 +104,11 @@ fn seed_range(text: &str) -> Result<std::ops::Range<u64>, String> {
 fn fraction(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|f| (0.0..=1.0).contains(f));
     value.ok_or_else(|| "expected a number from 0 to 1".to_owned())
+}
+
+fn picture_side(text: &str) -> Result<usize, String> {
+    let side = text.parse().ok().filter(|side| [RGB_SIDE, DEPTH_SIDE].contains(side));
+    side.ok_or_else(|| format!("expected {RGB_SIDE} or {DEPTH_SIDE}"))
 }
 
 fn main() -> ExitCode {
@@ -174,6 +184,7 @@ fn recipe(cli: &Cli) -> anyhow::Result<Recipe> {
         randomise: cli.randomise,
         varied: cli.varied,
         faithful: cli.faithful,
+        picture_side: cli.picture_side,
         ..Recipe::default()
     })
 }

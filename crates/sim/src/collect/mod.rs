@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use rand::RngExt;
 use rayon::prelude::*;
-use where2act_core::shard::{RGB_SIDE, SceneRecord, ShardError};
+use where2act_core::shard::{SceneRecord, ShardError};
 use where2act_core::{Policy, Primitive, Seed, Trial};
 
 pub use folder::{Collected, Collector, Part, Plan};
@@ -106,13 +106,13 @@ impl ScenePrep {
         )
     }
 
-    /// The record of this scene with the given trials.
+    /// The record of this scene with the given trials and its picture at `side` x `side` pixels.
     #[must_use]
-    pub fn record(&self, trials: Vec<Trial>) -> SceneRecord {
+    pub fn record(&self, trials: Vec<Trial>, side: usize) -> SceneRecord {
         SceneRecord {
             info: self.info.clone(),
             camera: self.view.camera,
-            rgb: self.view.rgb_at(RGB_SIDE),
+            rgb: self.view.rgb_at(side),
             depth: self.view.depth.iter().map(|&d| SceneRecord::quantise_depth(d)).collect(),
             link: self.view.link.clone(),
             trials,
@@ -144,5 +144,5 @@ pub fn collect_scene(preparer: &Preparer, index: u64) -> Result<Option<SceneReco
     };
     let count = if recipe.primitives.is_empty() { 0 } else { recipe.trials };
     let trials = (0..count).into_par_iter().map(trial).collect();
-    Ok(Some(prep.record(trials)))
+    Ok(Some(prep.record(trials, recipe.picture_side)))
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
+use where2act_core::shard::RGB_SIDE;
 use where2act_core::{Category, Primitive, Seed, Split};
 
 use super::CollectError;
@@ -43,6 +44,9 @@ pub struct Recipe {
     pub varied: f64,
     /// Every physics step at 500 Hz instead of the fast mode.
     pub faithful: bool,
+    /// Side of the pictures that are kept, pixels: 448, as it is rendered, or what divides it.
+    #[serde(default = "published_side", skip_serializing_if = "is_published_side")]
+    pub picture_side: usize,
 }
 
 impl Default for Recipe {
@@ -60,6 +64,7 @@ impl Default for Recipe {
             randomise: false,
             varied: 0.0,
             faithful: false,
+            picture_side: RGB_SIDE,
         }
     }
 }
@@ -83,6 +88,15 @@ impl Recipe {
     pub fn scene_seed(&self, index: u64) -> Seed {
         self.seed.child("scene", index)
     }
+}
+
+fn published_side() -> usize {
+    RGB_SIDE
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde calls it")]
+fn is_published_side(side: &usize) -> bool {
+    *side == RGB_SIDE
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "as serde calls it")]

@@ -14,6 +14,7 @@ use clap::Parser;
 use clap::builder::PossibleValuesParser;
 use indicatif::HumanDuration;
 use where2act_core::program::{self, Progress};
+use where2act_core::shard::{DEPTH_SIDE, RGB_SIDE};
 use where2act_core::{Policy, Primitive, Seed};
 use where2act_model::{Modality, Summary};
 use where2act_sim::collect::{CollectError, Collector, ObjectSet, Plan, Preparer, Recipe};
@@ -291,6 +292,7 @@ fn collect(config: &TrainConfig, work: &Work, stop: &AtomicBool) -> anyhow::Resu
             randomise,
             wide: randomise,
             close: f64::from(close),
+            picture_side: if config.network.image_side > RGB_SIDE { DEPTH_SIDE } else { RGB_SIDE },
             ..Recipe::default()
         };
         let plan = Plan { resume: true, ..Plan::new(scenes) };

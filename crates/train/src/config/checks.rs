@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use where2act_core::shard::DEPTH_SIDE;
 use where2act_model::Modality;
 use where2act_sim::collect::ObjectSet;
 
@@ -71,6 +72,8 @@ impl TrainConfig {
         check(!self.name.is_empty(), "name", "\"\"", "at least one letter")?;
         let sees = self.network.close_up.is_none() || self.network.modality == Modality::Rgb;
         check(sees, "network.close_up", "a margin", "none, as it is for pictures")?;
+        let side = self.network.image_side;
+        check(side <= DEPTH_SIDE, "network.image_side", side, "at most 448, the side of what is rendered")?;
         self.check_encoder()?;
         self.check_teacher()?;
         self.check_batch()?;
@@ -202,6 +205,10 @@ mod tests {
         ] {
             let error = load(&(minimal() + extra)).unwrap_err().to_string();
             assert!(error.contains(named) && !error.contains('\n'), "{error}");
+        }
+        for (side, named) in [(480, "network.image_side"), (225, "a multiple of 32")] {
+            let error = load(&minimal().replace("[network]\n", &format!("[network]\nimage_side = {side}\n")));
+            assert!(error.as_ref().is_err_and(|e| e.to_string().contains(named)), "{error:?}");
         }
         let close_up_of_scans = minimal().replace("[network]\n", "[network]\nclose_up = 1.1\n");
         let error = load(&close_up_of_scans).unwrap_err().to_string();

@@ -6,6 +6,7 @@ mod layers;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use where2act_core::shard::RGB_SIDE;
 use where2act_core::{Primitive, Seed};
 use where2act_kernels::Isa;
 use where2act_model::{EngineError, Modality, ModelConfig, TrainingEngine};
@@ -98,6 +99,10 @@ pub struct NetworkConfig {
     /// Whether the best proposals for a scan are scored once more, from the scan as the hand would see it. Not in the paper.
     #[serde(default)]
     pub second_look: bool,
+    /// Side of the square picture that the network sees, pixels, a multiple of 32; the paper's is 224. Larger ones are learnt
+    /// from data of `collect --picture-side 448`, and cost as much more as they have more pixels.
+    #[serde(default = "published_image_side", skip_serializing_if = "is_published_image_side")]
+    pub image_side: usize,
     /// If a picture comes with a mask, the network is shown the square around it, larger than the mask's larger extent by this
     /// factor, where it is asked for proposals. Training and validation show pictures as they were collected, whole; those of
     /// `collect --close` are such squares, 1.05 to 1.79 times as large as the object. The paper's network sees whole pictures.
@@ -416,6 +421,12 @@ fn published_points() -> usize {
 fn published_candidates() -> usize {
     30_000
 }
+fn published_image_side() -> usize {
+    RGB_SIDE
+}
+fn is_published_image_side(side: &usize) -> bool {
+    *side == RGB_SIDE
+}
 fn published_rate() -> f64 {
     1e-3
 }
@@ -475,6 +486,7 @@ impl TrainConfig {
         model.second_look = n.second_look && n.modality == Modality::Cloud;
         model.ways = n.ways;
         model.preprocessing.scan_candidates = n.candidates;
+        model.preprocessing.image_side = n.image_side;
         model.preprocessing.close_up = n.close_up.filter(|_| n.modality == Modality::Rgb);
         model
     }

@@ -17,7 +17,7 @@ use burn::optim::GradientsParams;
 use burn::tensor::Device;
 use serde::Serialize;
 use where2act_core::{Policy, Seed, Trial};
-use where2act_model::{Precision, TrainingEngine, save_weights};
+use where2act_model::{Modality, Precision, TrainingEngine, save_weights};
 
 pub use error::TrainError;
 pub(crate) use error::io;
@@ -78,6 +78,9 @@ pub fn train<'a>(
 ) -> Result<Outcome, TrainError> {
     config.validate()?;
     let engine = config.schedule.precision.engine()?;
+    if config.network.modality == Modality::Rgb {
+        dataset.require_pictures(config.network.image_side)?;
+    }
     let train_scenes: Arc<[SceneId]> = dataset.scenes(Part::Train)?.into();
     let validation_scenes = if config.phase(config.steps() - 1) == Phase::Look {
         dataset.scenes(Part::Validation)?
@@ -190,13 +193,14 @@ impl Run<'_> {
     fn steps_until(&mut self, end: usize) -> Result<(), TrainError> {
         let looks = self.config.schedule.look_steps;
         if self.state.progress.step < looks {
-            self.steps_of_a_phase(end.min(looks))?;
+            self.steps_of_a_phase(end.min(looks), end)?;
         }
-        if self.state.progress.step >= looks { self.steps_of_a_phase(end) } else { Ok(()) }
+        if self.state.progress.step >= looks { self.steps_of_a_phase(end, end) } else { Ok(()) }
     }
 
-    /// Runs steps up to `end` or until told to stop. Batches are prepared on another thread, in order.
-    fn steps_of_a_phase(&mut self, end: usize) -> Result<(), TrainError> {
+    /// Runs steps up to `end`, in an epoch that ends at `epoch_end`, or until told to stop. Batches are prepared on another
+    /// thread, in order.
+    fn steps_of_a_phase(&mut self, end: usize, epoch_end: usize) -> Result<(), TrainError> {
         let replay = Arc::new(self.state.replay.clone());
         let phase = self.config.phase(self.state.progress.step);
         let mut source = Source::new(self.dataset.clone(), &self.train_scenes, replay, self.config, phase);
@@ -224,8 +228,8 @@ impl Run<'_> {
                 self.state.progress.secs += began.elapsed().as_secs_f64();
                 // The end of an epoch saves only after validation and online sampling, which belong to it. Whoever stops those
                 // goes on from the step before.
-                let due = self.saved_at.elapsed() > CHECKPOINT_EVERY || step + 2 == end;
-                if due && step + 1 < end {
+                let due = self.saved_at.elapsed() > CHECKPOINT_EVERY || step + 2 == epoch_end;
+                if due && step + 1 < epoch_end {
                     self.save()?;
                 }
             }

@@ -70,6 +70,13 @@ pub(crate) fn write(folder: &Path, boards: Range<u64>) {
     write_records(folder, boards, board);
 }
 
+/// The same boards, their pictures as large as their depth maps.
+pub(crate) fn write_with_large_pictures(folder: &Path, boards: Range<u64>) {
+    let colour = |i: usize| [(i / DEPTH_SIDE / 2) as u8, 128, (i % DEPTH_SIDE / 2) as u8];
+    let rgb: Vec<_> = (0..DEPTH_SIDE * DEPTH_SIDE).map(colour).collect();
+    write_records(folder, boards, |index| SceneRecord { rgb: rgb.clone(), ..board(index) });
+}
+
 /// The same boards, which nobody has pushed.
 pub(crate) fn write_without_trials(folder: &Path, boards: Range<u64>) {
     write_records(folder, boards, |index| SceneRecord { trials: Vec::new(), ..board(index) });
